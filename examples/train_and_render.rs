@@ -7,11 +7,12 @@ type Outcome = Result<(), Box<dyn std::error::Error>>;
 
 /// Loads `photos`, trains for some iterations and writes the picture.
 pub fn train_and_render(photos: &str, iterations: u32, picture: &str) -> Outcome {
-    let dataset = load_dataset(photos.as_ref(), &LoadOptions::default())?;
     let config = TrainConfig {
         iterations,
         ..TrainConfig::default()
     };
+    let dataset = load_dataset(photos.as_ref(), &LoadOptions::default())?;
+    let dataset = run::with_points(dataset, &config)?;
     let plan = Plan::new(&dataset, &config)?;
     let splats = run::initial_gaussians(&dataset, &plan)?;
     let mut trainer = Trainer::new(&Device::open(None)?, &dataset, &plan, &splats)?;

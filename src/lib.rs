@@ -38,8 +38,9 @@
 //! use mhsplat::train::Event;
 //! use mhsplat::{Device, LoadOptions, Plan, TrainConfig, Trainer, load_dataset, run};
 //! # fn main() -> mhsplat::Result<()> {
-//! let dataset = load_dataset("photos".as_ref(), &LoadOptions::default())?;
-//! let plan = Plan::new(&dataset, &TrainConfig { iterations: 3000, ..TrainConfig::default() })?;
+//! let config = TrainConfig { iterations: 3000, ..TrainConfig::default() };
+//! let dataset = run::with_points(load_dataset("photos".as_ref(), &LoadOptions::default())?, &config)?;
+//! let plan = Plan::new(&dataset, &config)?;
 //! let device = Device::open(None)?;
 //! let splats = run::initial_gaussians(&dataset, &plan)?;
 //! let mut trainer = Trainer::new(&device, &dataset, &plan, &splats)?;

@@ -62,6 +62,7 @@ mod stage;
 mod stiff;
 mod stress;
 mod surrogate;
+mod sweep;
 mod synth;
 mod terminal;
 #[cfg(target_os = "linux")]

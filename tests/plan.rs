@@ -2,7 +2,7 @@
 
 use crate::determinism::room;
 use mhsplat::capture::{Alpha, Dataset, LoadOptions, Photo, PhotoSource, load};
-use mhsplat::config::{Background, Init, Sampler, TrainConfig};
+use mhsplat::config::{Background, Init, Length, Sampler, TrainConfig, TrainingSize};
 use mhsplat::run::{Item, PlanRecord};
 use mhsplat::train::{Learned, Plan};
 
@@ -45,7 +45,7 @@ fn options_switch_items() {
     switched("Morton order", |c| c.work.morton_order = false, false);
     switched("block culling", |c| c.work.cull_chunks = false, false);
     switched(
-        "initial Gaussians from sparse points",
+        "initial Gaussians from points",
         |c| c.init = Init::Random,
         false,
     );
@@ -97,9 +97,24 @@ fn data_switch_items() {
     let over_white = plan(&data, |c| c.background = Background::White);
     let why = verdict(&over_white, backgrounds).unwrap_err();
     assert_eq!(why, "one colour asked for: white");
+    let shortened = |c: &mut TrainConfig| {
+        let size = TrainingSize::ThreeQuarters;
+        c.lengths = vec![Length {
+            from: 20,
+            iterations: 500,
+            size,
+        }];
+    };
+    for (data, few) in [
+        (&data, "fewer than 600 it"),
+        (&room(64), "fewer than 1200 it"),
+    ] {
+        let why = verdict(&plan(data, shortened), "photos of the size asked for").unwrap_err();
+        assert!(why.contains(few), "{why}");
+    }
     assert!(of(&data, "undistortion").unwrap().contains("3 photos"));
     assert!(of(&data, "held-out evaluation").is_err());
-    assert!(of(&data, "initial Gaussians from sparse points").is_err());
+    assert!(of(&data, "initial Gaussians from points").is_err());
     let options = LoadOptions {
         max_size: 64,
         image_budget: Some(30_000),

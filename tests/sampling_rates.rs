@@ -8,7 +8,7 @@ use crate::determinism::room;
 use mhsplat::capture::{Alpha, Camera, Dataset, Lens, Photo, PhotoSource, View};
 use mhsplat::config::AntiAliasing;
 use mhsplat::run::PlanRecord;
-use mhsplat::train::plan::Decided;
+use mhsplat::train::reasons::Decided;
 use mhsplat::train::sampling_rates::{MIN_SPREAD, MIN_SPREAD_WITHIN, Spreads};
 use mhsplat::{Plan, TrainConfig};
 

@@ -213,6 +213,7 @@ pub(super) fn assemble(path: &Path, mut scene: RawScene, options: &LoadOptions) 
         train,
         test,
         points,
+        swept: None,
         frame,
         undistorted,
         missing,

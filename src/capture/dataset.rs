@@ -83,6 +83,9 @@ pub struct Dataset {
     pub test: Vec<View>,
     /// Sparse points (may be empty).
     pub points: Points,
+    /// Number of the points that were found in the photos because there were none; `None` if they have not been looked for. Of a run that goes on
+    /// they are not among `points` again.
+    pub swept: Option<usize>,
     /// Pose of the local frame in the dataset's own frame.
     pub frame: Frame,
     /// Number of views with lens distortion, whose photos are undistorted when they are read.
@@ -105,6 +108,12 @@ impl Dataset {
     /// Training views, then held-out ones.
     pub fn views(&self) -> impl Iterator<Item = &View> {
         self.train.iter().chain(&self.test)
+    }
+
+    /// Number of points that training begins or began with: sparse ones, or those that were found.
+    #[must_use]
+    pub fn point_count(&self) -> usize {
+        self.swept.unwrap_or(self.points.positions.len())
     }
 
     /// Direction that is up ([`up_axis`]); `None` if the cameras' upper edges agree on none.

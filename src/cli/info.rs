@@ -15,7 +15,7 @@ use mhsplat::base::math::{order_statistic, sigmoid, sorted};
 use mhsplat::capture::{self, Alpha, Dataset, Frame, Lens, Temporary, View};
 use mhsplat::config::{Preset, TrainConfig};
 use mhsplat::lab::tune::SizeClass;
-use mhsplat::run::{Clock, PlanRecord, RECORD_FILE, Run, RunRecord};
+use mhsplat::run::{Clock, PlanRecord, RECORD_FILE, Run, RunRecord, with_points};
 use mhsplat::scene::Plane;
 use mhsplat::train::Plan;
 
@@ -86,20 +86,25 @@ fn of_dataset(args: &InfoArgs) -> Result<(Value, Vec<String>)> {
     };
     config.validate()?;
     let data = capture::load(&args.path, &scene::load_options(&config))?;
+    let data = with_points(data, &config)?;
     let plan = PlanRecord::of(&Plan::new(&data, &config)?);
     scene::note_left_out(&data);
     let sizes = counted(&data, |v| format!("{}x{}", v.camera.width, v.camera.height));
     let lenses = counted(&data, |v| lens(&v.lens).to_owned());
     let stops = brightness(&data)?;
     let (train, test) = (data.train.len(), data.test.len());
-    let points = data.points.positions.len();
+    let found = data.swept;
+    let points = match found {
+        Some(_) => 0,
+        None => data.points.positions.len(),
+    };
     let (scale, center) = (data.frame.scale, data.frame.center.to_array());
     let (layout, alpha) = (data.layout.to_string(), format!("{:?}", data.alpha()));
     let alpha = alpha.to_lowercase();
     let memory = data.photo_bytes();
     let mut document = json!({
         "path": data.path, "layout": layout, "place": data.place, "training_views": train, "held_out_views": test, "sizes": sizes, "lenses": lenses,
-        "alpha": alpha, "brightness_stops": stops, "points": points, "extent": scale, "center": center, "photo_bytes": memory,
+        "alpha": alpha, "brightness_stops": stops, "points": points, "points_found": found, "extent": scale, "center": center, "photo_bytes": memory,
         "photos_on_demand": data.photos_on_demand(), "missing": data.missing, "astray": data.outliers,
         "masked_out": data.masked_out, "remarks": data.remarks, "plan": plan,
     });
@@ -121,7 +126,10 @@ fn of_dataset(args: &InfoArgs) -> Result<(Value, Vec<String>)> {
         format!("lenses: {}", words(&lenses)),
         format!("alpha: {alpha}"),
         format!("brightness: 9 of 10 photos within {stops:.2} stops"),
-        format!("points: {points}"),
+        match found {
+            Some(found) => format!("points: none; {found} found in the photos"),
+            None => format!("points: {points}"),
+        },
         format!("extent: {scale:.4} around {center:.4?}, in the dataset's units"),
         format!("memory of the photos: {} MiB{on_demand}", memory >> 20),
     ];

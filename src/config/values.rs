@@ -16,7 +16,7 @@ const SCENES: [&str; 5] = [".ply", ".spz", ".splat", ".glb", ".sog"];
 #[serde(try_from = "String", into = "String")]
 #[non_exhaustive]
 pub enum Init {
-    /// One Gaussian per sparse point; random if the dataset has none.
+    /// One Gaussian per sparse point; if the dataset has none, per place at which its photos agree, else random.
     #[default]
     Points,
     /// Random points in the cameras' bounding box.

@@ -71,6 +71,9 @@ struct Header {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     deciding: Option<PendingStep>,
     detail: Vec<f32>,
+    /// Absent with sparse points, and in earlier versions.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    swept: Option<usize>,
     sh_degree: u32,
     config: TrainConfig,
     clock: [f64; 3],
@@ -127,6 +130,7 @@ pub fn write(run_dir: &Path, checkpoint: &Checkpoint) -> Result<()> {
         next: state.next,
         deciding: state.deciding.clone(),
         detail: state.detail.clone(),
+        swept: state.swept,
         sh_degree: state.splats.sh_degree(),
         config: checkpoint.config.clone(),
         clock: [clock.train_seconds, clock.wall_seconds, clock.cpu_seconds],
@@ -331,6 +335,7 @@ fn parse(data: &[u8]) -> std::result::Result<Checkpoint, String> {
             next: header.next,
             deciding,
             detail: header.detail,
+            swept: header.swept,
             splats,
             rows: GaussianRows {
                 moment1,

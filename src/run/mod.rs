@@ -42,7 +42,9 @@ pub use record::{DatasetRecord, DeviceRecord, FinalRecord, Item, PlanRecord};
 pub use record::{RECORD_FILE, RunRecord, StageRecord, TrainingScores};
 pub use report::gallery::{GalleryItem, error_map};
 pub use report::page::write_report;
-pub use start::{abandon_folder, claim_folder, initial_gaussians, saved_config, saved_tuning};
+pub use start::{
+    abandon_folder, claim_folder, initial_gaussians, saved_config, saved_tuning, with_points,
+};
 pub use table::{DENSITY_FILE, DensityRow, DensityWriter, METRICS_FILE};
 pub use table::{MetricsRow, MetricsWriter, read_rows};
 pub use viewer::{SCENE_PAGE, ScenePage, write_scene_page};

@@ -79,6 +79,7 @@ impl Run {
     ) -> Result<Self> {
         config.validate()?;
         let (config, to_come) = begin(config);
+        let dataset = start::with_points(dataset, &config)?;
         let plan = Plan::new(&dataset, &config)?.on_device(device);
         let from = From {
             plan,
@@ -181,6 +182,8 @@ impl Run {
             anti_aliasing: Some(smoothed),
             detail: Some(saved.state.detail.clone()),
         };
+        let mut dataset = dataset;
+        dataset.swept = saved.state.swept;
         let plan = Plan::begun(&dataset, &config, &begun)?.on_device(&device);
         let from = From {
             plan,
@@ -257,7 +260,7 @@ impl Run {
         let stepped = saved.as_ref().map(stepped);
         // The trainer's configuration: an extension has made it longer.
         let sizes = sizes(&trainer, done);
-        let pace = Pace::new(&trainer.plan().config, to_come, sizes);
+        let pace = Pace::new(&trainer.plan().for_budgets(), to_come, sizes);
         let forecast = forecast(device, &trainer, evaluator.as_ref(), pace.budget())?;
         let clock = match &saved {
             Some(saved) => clock.after(saved.clock),

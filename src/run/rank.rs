@@ -30,6 +30,7 @@ struct Beginning {
     /// Decisions that belong to the whole run.
     anti_aliasing: bool,
     detail: Vec<f32>,
+    swept: Option<usize>,
     /// Highest SH degree of the first Gaussians.
     sh_degree: u32,
 }
@@ -60,6 +61,7 @@ pub(super) fn beginning(
         tuning: trainer.tuning(),
         anti_aliasing: plan.anti_aliasing.value,
         detail: plan.detail.value.clone(),
+        swept: plan.swept,
         sh_degree,
     });
     text.map(|text| words_of(&text))
@@ -113,6 +115,10 @@ pub fn serve(
     let begun = Begun {
         anti_aliasing: Some(said.anti_aliasing),
         detail: Some(said.detail),
+    };
+    let dataset = Dataset {
+        swept: said.swept,
+        ..dataset
     };
     let plan = Plan::begun(&dataset, &said.config, &begun)?;
     let plan = plan.led_by(said.kind).on_device(&device);

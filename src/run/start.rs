@@ -14,14 +14,35 @@ use crate::run::record::{DatasetRecord, DeviceRecord, PlanRecord, RECORD_FILE, R
 use crate::run::table::{DENSITY_FILE, METRICS_FILE};
 use crate::scene::formats::{self, Contents, SceneFile};
 use crate::scene::without_filter;
-use crate::scene::{Gaussians, init};
+use crate::scene::{Gaussians, init, sweep};
 use crate::train::Plan;
 
-/// Gaussians of a random initialisation.
+/// Gaussians of an initialisation that the dataset has no points for.
 const RANDOM_GAUSSIANS: usize = 20_000;
 
 /// The same for strategies that fill a scene from few: mh and mcmc are sooner, adc is not (docs/results/samplers.md).
 const FEW_RANDOM_GAUSSIANS: usize = 5_000;
+
+/// A dataset with points found in its photos, if it has none and the configuration asks for some. Their number is that of a random start.
+///
+/// # Errors
+/// A photo that cannot be read.
+pub fn with_points(mut dataset: Dataset, config: &TrainConfig) -> Result<Dataset> {
+    if config.init == Init::Points && dataset.swept.is_none() && dataset.point_count() == 0 {
+        dataset.points = sweep::points(&dataset, most_unplaced(config), config.seed)?;
+        dataset.swept = Some(dataset.points.positions.len());
+    }
+    Ok(dataset)
+}
+
+/// Number of first Gaussians where the dataset does not give them.
+fn most_unplaced(config: &TrainConfig) -> usize {
+    let count = match config.sampler {
+        Sampler::Mh | Sampler::Mcmc => FEW_RANDOM_GAUSSIANS,
+        Sampler::Adc | Sampler::None => RANDOM_GAUSSIANS,
+    };
+    count.min(config.max_gaussians.unwrap_or(usize::MAX))
+}
 
 /// The first Gaussians that a configuration asks for.
 ///
@@ -34,22 +55,23 @@ pub fn initial_gaussians(dataset: &Dataset, plan: &Plan) -> Result<Gaussians> {
     first(dataset, plan, &mut Vec::new())
 }
 
-/// [`initial_gaussians`], with remarks on their file.
+/// [`initial_gaussians`], with remarks on their file or on points that were found.
 pub(super) fn first(
     dataset: &Dataset,
     plan: &Plan,
     remarks: &mut Vec<String>,
 ) -> Result<Gaussians> {
     let config = &plan.config;
+    let found = dataset.swept.filter(|_| config.init == Init::Points);
+    remarks.extend(found.map(|found| match found {
+        0 => "no sparse points, and the photos agree in too few places: the first Gaussians are random".to_owned(),
+        _ => format!("no sparse points: the first Gaussians are {found} places where the photos agree"),
+    }));
     let most = config.max_gaussians.unwrap_or(usize::MAX);
     let splats = match &config.init {
         Init::File(path) => from_file(path, dataset, plan, most, remarks),
         start if *start == Init::Random || dataset.points.positions.is_empty() => {
-            let count = match config.sampler {
-                Sampler::Mh | Sampler::Mcmc => FEW_RANDOM_GAUSSIANS,
-                Sampler::Adc | Sampler::None => RANDOM_GAUSSIANS,
-            };
-            init::random(dataset, count.min(most), 0, config.seed)
+            init::random(dataset, most_unplaced(config), 0, config.seed)
         }
         _ => {
             let points = init::subset(&dataset.points, most, config.seed);

@@ -9,6 +9,7 @@ pub mod morton;
 pub mod orbit;
 pub mod sh;
 mod smoothing;
+pub mod sweep;
 pub mod trajectory;
 
 pub use crate::scene::edit::{Edit, OptionalColor};

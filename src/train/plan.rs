@@ -6,7 +6,6 @@
 use std::fmt;
 use std::sync::Arc;
 
-use rustc_hash::FxHashSet;
 use serde::{Deserialize, Serialize};
 
 use crate::base::error::{Error, Result};
@@ -17,26 +16,12 @@ use crate::config::{
 use crate::density::{self, DensityControl};
 use crate::device::{Device, DeviceKind};
 use crate::scene::formats;
+use crate::train::bound::most_gaussians;
 use crate::train::brightness::GainSpread;
-use crate::train::reasons::{NO_CAMERA_SAW, Part, Why};
+use crate::train::reasons::{Decided, NO_CAMERA_SAW, Part, Why};
 use crate::train::sampling_rates::Spreads;
 use crate::train::schedule::{Schedule, most_halvings};
 use crate::train::sizes;
-
-/// A decision and its reason.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Decided<T> {
-    /// Value to go by.
-    pub value: T,
-    /// Reason for it.
-    pub why: Why,
-}
-
-impl<T> Decided<T> {
-    fn new(value: T, why: Why) -> Self {
-        Self { value, why }
-    }
-}
 
 /// Per-image exposure compensation over a run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -92,9 +77,6 @@ pub struct Begun {
     pub detail: Option<Vec<f32>>,
 }
 
-/// Training pixels for which there may be a Gaussian, however few the sparse points and the photos are.
-const LEAST_PIXELS: f64 = 64.0;
-
 /// Iterations that a GPU does while a density step is decided on the host, which takes it about as long (docs/results/gpu.md).
 const DENSITY_LAG: u32 = 16;
 
@@ -123,6 +105,8 @@ pub struct Plan {
     pub skip_blank: Decided<bool>,
     /// Gaussians removed at the end because no training view shows them; `None` before the end, and where all are shown.
     pub unseen: Option<Decided<u64>>,
+    /// [`Dataset::swept`].
+    pub swept: Option<usize>,
     /// True if the first Gaussians are random.
     pub(crate) random_start: bool,
     /// Reason for a largest size of the photos below the size asked for; `None` where they have that.
@@ -211,16 +195,18 @@ impl Plan {
             density_lag: Decided::new(0, Why::SameProcessor),
             skip_blank: skip_blank(&config.work, alpha),
             unseen: None,
+            swept: dataset.swept,
             random_start: match config.init {
-                Init::Points => dataset.points.positions.is_empty(),
+                Init::Points => dataset.point_count() == 0,
                 Init::Random => true,
                 Init::File(_) => false,
             },
-            smaller: smaller(config),
+            smaller: None,
             leader: None,
             facts: Vec::new(),
             config: config.clone(),
         };
+        plan.smaller = plan.smaller();
         plan.photos(dataset);
         plan.work();
         plan.density_control();
@@ -241,7 +227,31 @@ impl Plan {
     /// Sets the length of the run from an iteration on, and the largest size of its photos.
     pub(super) fn set_length(&mut self, length: Length) {
         self.config.set_length(length);
-        self.smaller = smaller(&self.config);
+        self.smaller = self.smaller();
+    }
+
+    /// Iterations of full size that are too few for it under a time budget. Transparent photos lose more by a smaller size
+    /// (docs/results/first-gaussians.md).
+    fn fewest_iterations(&self) -> u32 {
+        let all = self.config.work.resolution_iterations;
+        all / if self.alpha == Alpha::Transparency {
+            2
+        } else {
+            1
+        }
+    }
+
+    /// The configuration with [`Plan::fewest_iterations`].
+    pub(crate) fn for_budgets(&self) -> TrainConfig {
+        let mut config = self.config.clone();
+        config.work.resolution_iterations = self.fewest_iterations();
+        config
+    }
+
+    /// The reason for photos below the size asked for, if the run ends with such.
+    fn smaller(&self) -> Option<Why> {
+        let size = self.config.last_size();
+        (!size.is_full()).then(|| Why::FewIterations(size, self.fewest_iterations()))
     }
 
     /// The configuration with what the start decides about density control.
@@ -440,18 +450,18 @@ impl Plan {
             Why::Views(held_out),
             Why::NoHeldOut,
         );
-        let points = dataset.points.positions.len();
+        let points = dataset.point_count();
         let asked = self.config.init == Init::Points;
-        let why_not = match asked {
-            true => Why::NoPoints,
-            false => Why::AnotherAskedFor,
+        let why = match dataset.swept {
+            Some(found) => Why::Swept(found),
+            None => Why::Points(points),
         };
-        self.fact(
-            Part::SparsePoints,
-            asked && points > 0,
-            Why::Points(points),
-            why_not,
-        );
+        let why_not = match (asked, dataset.swept) {
+            (true, Some(_)) => Why::NothingAgrees,
+            (true, None) => Why::NoPoints,
+            (false, _) => Why::AnotherAskedFor,
+        };
+        self.fact(Part::SparsePoints, asked && points > 0, why, why_not);
     }
 }
 
@@ -507,60 +517,12 @@ fn detail(
     Ok(Decided::new(detail, why))
 }
 
-/// The reason for photos below the size asked for, if the run ends with such.
-fn smaller(config: &TrainConfig) -> Option<Why> {
-    let (size, few) = (config.last_size(), config.work.resolution_iterations);
-    (!size.is_full()).then_some(Why::FewIterations(size, few))
-}
-
 /// A decision with the value that the run began with, if that is another one.
 fn as_begun<T: PartialEq>(decided: Decided<T>, begun: Option<T>) -> Decided<T> {
     match begun {
         Some(value) if value != decided.value => Decided::new(value, Why::Checkpoint),
         _ => decided,
     }
-}
-
-/// Bound on the number of Gaussians: the user's, or for mh that of the photos. More Gaussians than the sparse points overfit few photos:
-/// nothing tells what is wrong between them. Photos of more pixels, and more photos to compare each with, allow more; one Gaussian for
-/// [`LEAST_PIXELS`] is always allowed. Measured where the first Gaussians are those of sparse points and photos are opaque
-/// (docs/results/overfitting.md).
-fn most_gaussians(dataset: &Dataset, config: &TrainConfig, alpha: Alpha) -> Decided<Option<usize>> {
-    let each = config.mh.pair_pixels;
-    if let Some(most) = config.max_gaussians {
-        return Decided::new(Some(most), Why::AtMost(most));
-    }
-    let points = match config.init {
-        Init::Points => dataset.points.positions.len(),
-        Init::Random | Init::File(_) => 0,
-    };
-    let why = match alpha {
-        _ if config.sampler != Sampler::Mh => Why::Criterion("the bound is of the mh sampler"),
-        _ if each == 0.0 => Why::Criterion("mh.pair-pixels is 0"),
-        Alpha::Transparency => Why::Transparent,
-        Alpha::Mask => Why::Criterion("masks say which pixels count"),
-        Alpha::None if points == 0 => Why::Criterion("the first Gaussians are not sparse points"),
-        Alpha::None => {
-            let cameras = dataset.train.iter().map(|view| &view.camera);
-            let pixels: u64 = cameras
-                .clone()
-                .map(|c| u64::from(c.width) * u64::from(c.height))
-                .sum();
-            // The sides of a panorama have one centre, and nothing to compare.
-            let places: FxHashSet<_> = cameras
-                .map(|c| c.center().to_array().map(f64::to_bits))
-                .collect();
-            let pairs = places.len().saturating_sub(1) as f64 / 2.0;
-            let by_photos = pixels as f64 * (pairs / each).max(1.0 / LEAST_PIXELS);
-            let by_photos = by_photos.min(f64::from(u32::MAX)) as usize;
-            return if by_photos > points {
-                Decided::new(Some(by_photos), Why::OverfitBeyond(by_photos, places.len()))
-            } else {
-                Decided::new(Some(points), Why::AtPoints(points))
-            };
-        }
-    };
-    Decided::new(None, why)
 }
 
 fn exposure(config: &TrainConfig, alpha: Alpha) -> Result<Decided<Exposure>> {

@@ -97,10 +97,25 @@ impl fmt::Display for Part {
             Self::EarlyBirths => "births from the first density step on",
             Self::Exposure => "per-image exposure",
             Self::HeldOut => "held-out evaluation",
-            Self::SparsePoints => "initial Gaussians from sparse points",
+            Self::SparsePoints => "initial Gaussians from points",
             Self::RemoveUnseen => "removal of Gaussians that no training view shows",
             Self::Unseen => "whatever no training view shows",
         })
+    }
+}
+
+/// A decision and its reason.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Decided<T> {
+    /// Value to go by.
+    pub value: T,
+    /// Reason for it.
+    pub why: Why,
+}
+
+impl<T> Decided<T> {
+    pub(super) fn new(value: T, why: Why) -> Self {
+        Self { value, why }
     }
 }
 
@@ -199,14 +214,24 @@ pub enum Why {
     NoHeldOut,
     /// Sparse points.
     Points(usize),
-    /// The dataset has no points.
+    /// Points found in the photos.
+    Swept(usize),
+    /// The dataset has no points, and nobody has looked for some.
     NoPoints,
+    /// The dataset has no points, and none were found.
+    NothingAgrees,
     /// Gaussians removed; the training views keep every bit.
     Removed(u64),
 }
 
 /// Reason why transparent photos have no exposure transforms.
 pub(super) const NO_CAMERA_SAW: &str = "no camera saw the background that transparent photos are composited over, and a transform would change it, too";
+
+/// Reasons for a random start.
+const NO_POINTS: &str =
+    "the dataset has no points, and none were looked for in its photos; random initialisation";
+const NOTHING_AGREES: &str =
+    "the dataset has no points, and its photos agree in too few places; random initialisation";
 
 fn mebibytes(bytes: u64) -> String {
     format!("{:.0} MiB", bytes as f64 / f64::from(1 << 20))
@@ -301,7 +326,9 @@ impl fmt::Display for Why {
             Self::Views(n) => write!(f, "{n} views are held out"),
             Self::NoHeldOut => f.write_str("no view is held out"),
             Self::Points(n) => write!(f, "{n} points"),
-            Self::NoPoints => f.write_str("the dataset has no points; random initialisation"),
+            Self::Swept(n) => write!(f, "it has none: {n} were found where its photos agree"),
+            Self::NoPoints => f.write_str(NO_POINTS),
+            Self::NothingAgrees => f.write_str(NOTHING_AGREES),
             Self::Removed(n) => write!(
                 f,
                 "{n} removed at the end; the training views stay the same to the bit"

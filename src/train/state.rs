@@ -20,6 +20,8 @@ pub struct TrainerState {
     pub next: Next,
     /// [`Plan::detail`](crate::train::Plan::detail).
     pub detail: Vec<f32>,
+    /// [`Dataset::swept`](crate::capture::Dataset::swept).
+    pub swept: Option<usize>,
     /// Parameters.
     pub splats: Gaussians,
     /// Moments, statistics, smoothing filter and gradients of a batch that has begun.
@@ -56,6 +58,7 @@ impl Trainer {
                 next => next,
             },
             detail: self.plan.detail.value.clone(),
+            swept: self.plan.swept,
             splats,
             rows,
             stats: self.control.stats,

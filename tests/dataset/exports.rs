@@ -177,7 +177,7 @@ fn reality_scan_projects_as_its_document_says() {
         assert_eq!(data.layout, Layout::RealityScan);
         assert_eq!(data.place, "cameras.csv, photos in images");
         assert_projects(&data, |i, p| reality_scan_pixel(i, p, focal, middle));
-        // No points: a random start.
+        // No points in the export.
         assert!(data.points.positions.is_empty());
     }
     // The comparison notices another principal point.

@@ -98,6 +98,7 @@ pub fn dataset(cameras: &[Camera]) -> Dataset {
         train: cameras.iter().enumerate().map(view).collect(),
         test: Vec::new(),
         points: Points::default(),
+        swept: None,
         frame: Frame::IDENTITY,
         undistorted: 0,
         missing: Vec::new(),
