@@ -105,12 +105,13 @@ fn data_switch_items() {
             size,
         }];
     };
-    for (data, few) in [
-        (&data, "fewer than 600 it"),
-        (&room(64), "fewer than 1200 it"),
-    ] {
+    for (data, few) in [(&data, 600), (&room(64), 1200)] {
+        let budgets = Plan::new(data, &TrainConfig::default())
+            .unwrap()
+            .for_budgets();
+        assert_eq!(budgets.work.resolution_iterations, few);
         let why = verdict(&plan(data, shortened), "photos of the size asked for").unwrap_err();
-        assert!(why.contains(few), "{why}");
+        assert!(why.contains(&format!("fewer than {few} it")), "{why}");
     }
     assert!(of(&data, "undistortion").unwrap().contains("3 photos"));
     assert!(of(&data, "held-out evaluation").is_err());
@@ -156,6 +157,13 @@ fn photos_bound_the_gaussians() {
     assert_eq!(value, Some(points));
     let said = format!("as many Gaussians as sparse points, {points}:");
     assert!(verdict(&record, what).unwrap().contains(&said));
+    // As many as were looked for say nothing about the photos.
+    let found = Dataset {
+        swept: Some(points),
+        ..data.clone()
+    };
+    let by_photos = by_pairs(&data, photos).max(by_pixels(&data));
+    assert_eq!(most(&found, |_| {}), Some(by_photos));
     let mut large = room(256);
     let (value, record) = decided(&large, |_| {});
     assert_eq!(value, Some(by_pairs(&large, photos)));

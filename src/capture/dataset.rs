@@ -116,6 +116,22 @@ impl Dataset {
         self.swept.unwrap_or(self.points.positions.len())
     }
 
+    /// The dataset as a run had it that has begun: points that were found are known by their number, and none that it did not have.
+    #[must_use]
+    pub fn as_begun(mut self, swept: Option<usize>) -> Self {
+        if self.swept.is_some() {
+            self.points = Points::default();
+        }
+        self.swept = swept;
+        self
+    }
+
+    /// True if points were found, and only their number is known.
+    #[must_use]
+    pub fn forgot_points(&self) -> bool {
+        self.swept.is_some_and(|found| found > 0) && self.points.positions.is_empty()
+    }
+
     /// Direction that is up ([`up_axis`]); `None` if the cameras' upper edges agree on none.
     #[must_use]
     pub fn up(&self) -> Option<DVec3> {

@@ -71,7 +71,7 @@ struct Header {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     deciding: Option<PendingStep>,
     detail: Vec<f32>,
-    /// Absent with sparse points, and in earlier versions.
+    /// [`TrainerState::swept`]; absent if none were looked for.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     swept: Option<usize>,
     sh_degree: u32,

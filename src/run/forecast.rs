@@ -33,7 +33,7 @@ const BEGINNING: f64 = 1.0 / 12.0;
 const AFTER_POINTS: f64 = 1.6;
 const AFTER_RANDOM: f64 = 0.62;
 
-/// The same for points found in the photos: first plans of forty budgets came to 1.15 times as many iterations with [`AFTER_POINTS`]
+/// The same for points found in the photos: with [`AFTER_POINTS`] forty budgets ended with 1.15 times the iterations of their first plan
 /// (docs/results/first-gaussians.md).
 const AFTER_FOUND: f64 = 1.4;
 

@@ -182,8 +182,7 @@ impl Run {
             anti_aliasing: Some(smoothed),
             detail: Some(saved.state.detail.clone()),
         };
-        let mut dataset = dataset;
-        dataset.swept = saved.state.swept;
+        let dataset = dataset.as_begun(saved.state.swept);
         let plan = Plan::begun(&dataset, &config, &begun)?.on_device(&device);
         let from = From {
             plan,

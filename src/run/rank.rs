@@ -116,10 +116,7 @@ pub fn serve(
         anti_aliasing: Some(said.anti_aliasing),
         detail: Some(said.detail),
     };
-    let dataset = Dataset {
-        swept: said.swept,
-        ..dataset
-    };
+    let dataset = dataset.as_begun(said.swept);
     let plan = Plan::begun(&dataset, &said.config, &begun)?;
     let plan = plan.led_by(said.kind).on_device(&device);
     let photos = Photos::new(&device, dataset.image_budget);

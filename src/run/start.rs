@@ -23,7 +23,7 @@ const RANDOM_GAUSSIANS: usize = 20_000;
 /// The same for strategies that fill a scene from few: mh and mcmc are sooner, adc is not (docs/results/samplers.md).
 const FEW_RANDOM_GAUSSIANS: usize = 5_000;
 
-/// A dataset with points found in its photos, if it has none and the configuration asks for some. Their number is that of a random start.
+/// A dataset with points found in its photos, if it has none and the configuration asks for some. As many as a random start would have, or fewer.
 ///
 /// # Errors
 /// A photo that cannot be read.

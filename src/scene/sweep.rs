@@ -57,7 +57,7 @@ const FLAT: f32 = 1e-6;
 /// Distance from the depth in a neighbour up to which both show one surface, planes.
 const AGREEMENT: f64 = 1.5;
 
-/// Share of the pixels that count which agree at least: 0.01 do by chance, in photos of wrong cameras, and 0.11 to 0.65 in eleven captures
+/// Share of the pixels that count which agree at least: 0.01 do by chance, in photos of wrong cameras, and 0.11 to 0.64 in eleven captures
 /// (docs/results/first-gaussians.md).
 const LEAST_SHARE: f64 = 0.04;
 

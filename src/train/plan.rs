@@ -183,7 +183,11 @@ impl Plan {
         let mut plan = Self {
             alpha,
             random_background: random_background(config, alpha == Alpha::Transparency),
-            anti_aliasing: as_begun(anti_aliasing(dataset, config), begun.anti_aliasing),
+            anti_aliasing: match begun.anti_aliasing {
+                // By points that nobody has any more.
+                Some(value) if dataset.forgot_points() => Decided::new(value, Why::Checkpoint),
+                known => as_begun(anti_aliasing(dataset, config), known),
+            },
             detail: detail(dataset, config, begun.detail.as_ref())?,
             exposure: exposure(config, alpha)?,
             sh_degree: match config.sh_degree {
@@ -242,7 +246,8 @@ impl Plan {
     }
 
     /// The configuration with [`Plan::fewest_iterations`].
-    pub(crate) fn for_budgets(&self) -> TrainConfig {
+    #[must_use]
+    pub fn for_budgets(&self) -> TrainConfig {
         let mut config = self.config.clone();
         config.work.resolution_iterations = self.fewest_iterations();
         config

@@ -326,7 +326,7 @@ impl fmt::Display for Why {
             Self::Views(n) => write!(f, "{n} views are held out"),
             Self::NoHeldOut => f.write_str("no view is held out"),
             Self::Points(n) => write!(f, "{n} points"),
-            Self::Swept(n) => write!(f, "it has none: {n} were found where its photos agree"),
+            Self::Swept(n) => write!(f, "the dataset has none; {n} were found where its photos agree"),
             Self::NoPoints => f.write_str(NO_POINTS),
             Self::NothingAgrees => f.write_str(NOTHING_AGREES),
             Self::Removed(n) => write!(
