@@ -245,7 +245,7 @@ impl Plan {
         }
     }
 
-    /// The configuration with [`Plan::fewest_iterations`].
+    /// The configuration with the iterations that are too few for these photos in `work.resolution_iterations`.
     #[must_use]
     pub fn for_budgets(&self) -> TrainConfig {
         let mut config = self.config.clone();
