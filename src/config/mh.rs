@@ -97,7 +97,7 @@ pub struct MhConfig {
     /// what others see.
     pub pixel_near: f64,
     /// Pixels per Gaussian in the bound on births: with V opaque training photos of p pixels in all, no births beyond the largest of
-    /// p·(V − 1)/2 over this, p/64 and the number of sparse points, because more overfit few photos; 0 for no bound. `--max-gaussians`
+    /// p·(V − 1)/2 over this, p/64 and the number of sparse points (those found in the photos do not count), because more overfit few photos; 0 for no bound. `--max-gaussians`
     /// replaces it. Transparent and masked photos, random starts and starts from a file have none.
     pub pair_pixels: f64,
     /// Noise on the positions between the steps, per unit of the position's learning rate, with \[MCMC\]'s gate as for

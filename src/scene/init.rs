@@ -1,4 +1,4 @@
-//! Initial Gaussians: one per sparse point, or random ones.
+//! Initial Gaussians: one per point, or random ones.
 
 use crate::base::error::{Error, Result};
 use crate::base::math::logit;

@@ -59,7 +59,7 @@ pub enum Part {
     Exposure,
     /// Scores of held-out views.
     HeldOut,
-    /// Initial Gaussians at sparse points.
+    /// Initial Gaussians at points: sparse ones, or those found in the photos.
     SparsePoints,
     /// Removal of Gaussians that no training view shows.
     RemoveUnseen,

@@ -28,7 +28,7 @@ const MIN_VIEWS: usize = 3;
 /// Points, of those looked at, that a view must see for it to count.
 const MIN_POINTS: usize = 20;
 
-/// Spreads of the sampling rates of the training views, at the sparse points in their images (hidden or not).
+/// Spreads of the sampling rates of the training views, at the points in their images (hidden or not).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Spreads {
     /// From view to view: at each point the 90th percentile of f/z over the 10th; of those the median over the points that
