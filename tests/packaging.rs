@@ -104,9 +104,9 @@ fn wrong_containers_are_found() {
     assert!(!is_known("opencl") && is_known("pocl-opencl-icd"));
 }
 
-/// A container's user has no home, and nothing but its output and the cache can be written.
+/// A container's user has no home, and nothing but its output and the cache can be written. PoCL's compiler counts its warnings on stderr.
 #[test]
-fn training_needs_no_home() {
+fn training_needs_no_home_and_kernels_compile_in_silence() {
     let dir = tempfile::tempdir().unwrap();
     let (run, cache) = (dir.path().join("run"), dir.path().join("pocl"));
     // Where not even root can make a folder.
@@ -123,6 +123,11 @@ fn training_needs_no_home() {
     let trained = command.output().unwrap();
     assert!(trained.status.success(), "{}", stderr(&trained));
     assert!(run.join("scene.ply").is_file());
+    assert!(
+        !stderr(&trained).contains("generated"),
+        "{}",
+        stderr(&trained)
+    );
     let refused = homeless(Path::new(nowhere))
         .arg("devices")
         .output()

@@ -2,7 +2,7 @@
 
 use serde_json::json;
 
-use crate::cli::common::{Common, Outcome};
+use crate::cli::common::{Common, Outcome, tested};
 use crate::cli::output;
 use mhsplat::base::cores::Cores;
 use mhsplat::base::error::{Error, Result};
@@ -14,8 +14,8 @@ use mhsplat::lab::tune::{Origin, SizeClass};
 /// Arguments.
 #[derive(clap::Args)]
 pub struct DevicesArgs {
-    /// Measure now, and not at first use, how kernels suit a device with scenes of every size, as far as that is not known: that of
-    /// MHSPLAT_DEVICE, else the default.
+    /// Measure now, and not at first use, how kernels suit a device with scenes of every size, and test it, as far as that has not been done:
+    /// that of MHSPLAT_DEVICE, else the default.
     #[arg(long)]
     tune: bool,
 }
@@ -71,7 +71,7 @@ pub fn run(common: &Common, args: &DevicesArgs) -> Result<Outcome> {
     Ok(Outcome::Done)
 }
 
-/// Measures and keeps the tunings of the selected device that are not known.
+/// Measures and keeps the tunings of the selected device that are not known, and tests it with each.
 fn measure_tunings() -> Result<()> {
     if !matches!(
         std::env::var(tune::VARIABLE).as_deref(),
@@ -85,7 +85,7 @@ fn measure_tunings() -> Result<()> {
     let selector = std::env::var("MHSPLAT_DEVICE").ok();
     let device = Device::open(selector.as_deref().filter(|selector| !selector.is_empty()))?;
     for size in SizeClass::told_apart(device.info()) {
-        tune::tuned(device.clone(), *size, &mut output::note)?;
+        tested(device.clone(), *size)?;
         if !tune::is_kept(device.info(), *size) {
             return Err(Error::config(
                 "--tune",

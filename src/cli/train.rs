@@ -24,6 +24,9 @@ use mhsplat::run::{
 /// Keys of a configuration that say how long the run is.
 const LENGTHS: [&str; 4] = ["iterations", "time-budget", "budget-cpu", "lengths"];
 
+/// Largest share of a budget that is spent on what is done once for a device.
+const LARGEST_ONCE: f64 = 0.1;
+
 /// Arguments of `mhsplat train`.
 #[derive(clap::Args)]
 pub struct TrainArgs {
@@ -145,9 +148,8 @@ fn train(
     };
     let mut clock = Clock::start();
     let data = read_photos(&dataset, &config, device.helpers())?;
-    clock.stop();
-    let device = tuned(device.clone(), resume, SizeClass::of_run(&data, &config))?;
-    clock.resume();
+    let tuned = || tuned(device.clone(), resume, SizeClass::of_run(&data, &config));
+    let device = apart(&mut clock, [config.time_budget, config.budget_cpu], tuned)?;
     let mut run = match resume {
         Some(run) => {
             let iterations = args.resume.as_ref().and_then(|_| args.options.iterations());
@@ -201,6 +203,36 @@ fn train(
     finish(record, dir, common)?;
     let psnr = record.final_scores.as_ref().map(|f| f.mean.psnr);
     Ok(Outcome::of(args.require_psnr, psnr))
+}
+
+/// Result of work that is done once for a device, which is no time of training. It counts for a budget, in seconds and CPU seconds, where it takes
+/// at most [`LARGEST_ONCE`] of it.
+fn apart<T>(
+    clock: &mut Clock,
+    budgets: [Option<f64>; 2],
+    work: impl FnOnce() -> Result<T>,
+) -> Result<T> {
+    let mut counting = clock.clone();
+    counting.pause();
+    clock.stop();
+    let done = work()?;
+    let once = [
+        counting.wall_seconds() - clock.wall_seconds(),
+        counting.all_cpu_seconds() - clock.all_cpu_seconds(),
+    ];
+    let budget = budgets
+        .into_iter()
+        .zip(once)
+        .find_map(|(b, once)| Some((b?, once)));
+    match budget {
+        Some((all, once)) if once <= LARGEST_ONCE * all => *clock = counting,
+        Some((_, once)) => output::note(&format!(
+            "kernels have been built, measured and tested for this device, once: {once:.0} s beyond the budget"
+        )),
+        None => {}
+    }
+    clock.resume();
+    Ok(done)
 }
 
 /// The device with the tuning of the run to resume, or the one for runs of a size, in which it passes the self-test.

@@ -234,7 +234,8 @@ fn compile(inner: &Inner, stage: &'static str, text: &str) -> Result<Built> {
         .map_err(|e| device_error(stage, &e, COMPILER))?;
     let seat = Seat::of(&inner.info, text);
     let apart = seat.as_ref().map(Seat::options).unwrap_or_default();
-    let options = format!("-cl-std=CL1.2 -cl-kernel-arg-info{apart}");
+    // Without warnings: PoCL would tell on stderr how many there were, on processors without AVX-512 dozens about vectors of 16 lanes.
+    let options = format!("-cl-std=CL1.2 -cl-kernel-arg-info -w{apart}");
     let options = CString::new(options)
         .map_err(|_| Error::device(stage, "the options hold a NUL byte", COMPILER))?;
     let built = core::build_program(&program, Some(&[inner.id]), &options, None, None);

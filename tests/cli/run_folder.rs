@@ -529,6 +529,36 @@ fn a_missed_bar_is_1_and_a_time_budget_ends_the_run() {
     assert!(run.join("scene.ply").exists());
 }
 
+/// The self-test of a device that has passed none.
+#[test]
+fn what_is_done_once_for_a_device_counts_for_a_long_budget() {
+    let dir = tempfile::tempdir().unwrap();
+    let room = room();
+    let outside = |budget: &str| {
+        let at = |name: &str| dir.path().join(format!("{name}-{budget}"));
+        let run = at("run");
+        let mut command = super::program();
+        command.env("XDG_CACHE_HOME", at("cache")).args([
+            "train",
+            &room,
+            "-o",
+            text(&run),
+            "--max-size",
+            "48",
+            "--iterations",
+            "20",
+            "--budget-cpu",
+            budget,
+        ]);
+        let output = command.output().unwrap();
+        let said = stderr(&output);
+        assert!(output.status.success(), "{said}");
+        said.contains("beyond the budget")
+    };
+    assert!(outside("1s"));
+    assert!(!outside("1h"));
+}
+
 /// UTM coordinates: the scores of a run are of a scene that its file cannot hold.
 #[test]
 fn what_lies_far_from_the_origin_is_told() {
