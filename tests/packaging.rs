@@ -104,7 +104,8 @@ fn wrong_containers_are_found() {
     assert!(!is_known("opencl") && is_known("pocl-opencl-icd"));
 }
 
-/// A container's user has no home, and nothing but its output and the cache can be written. PoCL's compiler counts its warnings on stderr.
+/// A container's user has no home, and nothing but its output and the cache can be written. PoCL would count
+/// the compiler's warnings on stderr, most of them on processors without AVX-512.
 #[test]
 fn training_needs_no_home_and_kernels_compile_in_silence() {
     let dir = tempfile::tempdir().unwrap();
@@ -124,7 +125,7 @@ fn training_needs_no_home_and_kernels_compile_in_silence() {
     assert!(trained.status.success(), "{}", stderr(&trained));
     assert!(run.join("scene.ply").is_file());
     assert!(
-        !stderr(&trained).contains("generated"),
+        !stderr(&trained).contains(" generated."),
         "{}",
         stderr(&trained)
     );

@@ -132,11 +132,15 @@ fn used(text: &str, defines: &Defines, is_double: bool) -> String {
     prelude.split_inclusive('\n').filter(used).collect()
 }
 
-/// Hash of the sources of all kernels.
+/// Options of every build. Without warnings: PoCL would tell on stderr how many there were, on processors without AVX-512 dozens about vectors
+/// of 16 lanes.
+const OPTIONS: &str = "-cl-std=CL1.2 -cl-kernel-arg-info -w";
+
+/// Hash of the sources of all kernels and of the options of their builds.
 #[must_use]
 pub fn sources_hash() -> u64 {
     let mut hasher = FxHasher::default();
-    (HEADERS, SOURCES).hash(&mut hasher);
+    (HEADERS, SOURCES, OPTIONS).hash(&mut hasher);
     hasher.finish()
 }
 
@@ -234,8 +238,7 @@ fn compile(inner: &Inner, stage: &'static str, text: &str) -> Result<Built> {
         .map_err(|e| device_error(stage, &e, COMPILER))?;
     let seat = Seat::of(&inner.info, text);
     let apart = seat.as_ref().map(Seat::options).unwrap_or_default();
-    // Without warnings: PoCL would tell on stderr how many there were, on processors without AVX-512 dozens about vectors of 16 lanes.
-    let options = format!("-cl-std=CL1.2 -cl-kernel-arg-info -w{apart}");
+    let options = format!("{OPTIONS}{apart}");
     let options = CString::new(options)
         .map_err(|_| Error::device(stage, "the options hold a NUL byte", COMPILER))?;
     let built = core::build_program(&program, Some(&[inner.id]), &options, None, None);

@@ -1,6 +1,6 @@
 //! The clocks of a run.
 //!
-//! All start together. `wall` and `all_cpu` run on, unless the run waits for its user; `train` and `cpu` stop while the run evaluates, exports or, in mid-run, compiles
+//! All start together. `wall` and `all_cpu` run on, unless the run waits for its user or for a device that is used for the first time; `train` and `cpu` stop while the run evaluates, exports or, in mid-run, compiles
 //! kernels, so that both cover the same span. On shared machines `cpu` is the one to compare by.
 
 use std::time::Instant;
@@ -88,7 +88,7 @@ impl Clock {
         self.running = None;
     }
 
-    /// Stops all clocks while the run waits for its user; no effect while they are stopped.
+    /// Stops all clocks while the run waits for its user or its device; no effect while they are stopped.
     pub fn stop(&mut self) {
         self.pause();
         self.before.wall_seconds = self.wall_seconds();
