@@ -523,7 +523,7 @@ fn processes_without_mpi_are_refused() {
     let dir = tempfile::tempdir().unwrap();
     let run = dir.path().join("run");
     let mut command = program();
-    command.args(["train", &room_path(), "-o", text(&run)]);
+    command.args(["train", &room_path(), "-o", text(&run), "--iterations", "1"]);
     command.env("OMPI_COMM_WORLD_SIZE", "2");
     let output = command.output().unwrap();
     let said = stderr(&output);

@@ -16,11 +16,11 @@ use crate::device::section::{Section, read_sections, write_sections};
 /// A device buffer of `len` values of `T`.
 #[derive(Debug)]
 pub struct Array<T> {
-    device: Arc<Inner>,
     pub(super) mem: Mem,
     name: &'static str,
     len: usize,
     _type: PhantomData<T>,
+    device: Arc<Inner>,
 }
 
 impl<T> Drop for Array<T> {
@@ -63,8 +63,9 @@ impl<T: Element> Array<T> {
             Some(_) => MEM_READ_WRITE | MEM_COPY_HOST_PTR,
             None => MEM_READ_WRITE,
         };
+        let context = &device.inner.compiled.context;
         // SAFETY: a host pointer, if given, is read for `len` values during the call alone; the buffer is owned by `mem`.
-        let mem = unsafe { core::create_buffer(&device.inner.context, flags, len.max(1), data) }
+        let mem = unsafe { core::create_buffer(context, flags, len.max(1), data) }
             .map_err(|e| device_error(&format!("allocate {name} ({bytes} bytes)"), &e, LOWER))?;
         device.inner.allocated.fetch_add(bytes, Ordering::Relaxed);
         Ok(Self {

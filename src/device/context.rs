@@ -8,8 +8,9 @@ use ocl_core::{self as core, Event, ProfilingInfo};
 
 use crate::base::cores::Cores;
 use crate::base::error::{Error, Result};
+use crate::device::compiled::{Compiled, OF_CPUS};
 use crate::device::error::{LOST, device_error};
-use crate::device::info::{DeviceInfo, enumerate, select};
+use crate::device::info::{DeviceInfo, DeviceKind, enumerate, select};
 use crate::device::part::Part;
 use crate::device::queues::{InUse, Queues};
 use crate::device::seat::Seat;
@@ -73,26 +74,18 @@ pub(super) struct Enqueued {
     pub event: Event,
 }
 
-/// A program, and its number among those of the same text; the number goes after it.
-#[derive(Debug)]
-pub(super) struct Built {
-    pub program: core::Program,
-    pub _seat: Option<Seat>,
-}
-
 #[derive(Debug)]
 pub(super) struct Inner {
     pub info: DeviceInfo,
     pub id: core::DeviceId,
-    pub context: core::Context,
     queues: Queues,
     pub staging: Staging,
     /// Timed launches whose profiling counters have not been read yet.
     pending: Mutex<Vec<Enqueued>>,
     /// Bytes of the buffers that are alive.
     pub allocated: AtomicU64,
-    /// Programs built so far, by their texts.
-    pub programs: Mutex<BTreeMap<String, Built>>,
+    /// The context, and what is built in it; it goes after everything that is of it.
+    pub compiled: Arc<Compiled>,
     /// The part of the device that `id` is, if it is one; contexts and queues go before it.
     _part: Option<Part>,
 }
@@ -114,10 +107,12 @@ impl Inner {
 }
 
 impl Drop for Inner {
-    /// Waits for what is enqueued on a device whose programs have seats: nothing of them runs any more when others take the seats.
+    /// Waits for what is enqueued on a CPU, or where programs have seats: nothing of them runs any more when another open device has them or their
+    /// seats. Nobody has those of a device that fails to.
     fn drop(&mut self) {
-        if Seat::is_needed(&self.info) {
-            let _ = core::finish(&self.queue());
+        let waits = self.info.kind == DeviceKind::Cpu || Seat::is_needed(&self.info);
+        if waits && core::finish(&self.queue()).is_err() {
+            OF_CPUS.forget(&self.compiled);
         }
     }
 }
@@ -229,19 +224,25 @@ impl Device {
         let id = part.as_ref().map_or(whole, |part| part.id);
         let info = taking(info, part.as_ref());
         let fail = |e: core::Error| device_error("open device", &e, "select another with --device");
-        let context = core::create_context(None, &[id], None, None).map_err(fail)?;
-        let queues = Queues::new(&context, id).map_err(fail)?;
+        let compiled = match part {
+            None if info.kind == DeviceKind::Cpu => OF_CPUS.context(id),
+            _ => Compiled::new(id),
+        };
+        let compiled = compiled.map_err(fail)?;
+        let queues = Queues::new(&compiled.context, id);
+        let queues = queues
+            .inspect_err(|_| OF_CPUS.forget(&compiled))
+            .map_err(fail)?;
         Ok(Self {
             tuning: Tuning::for_device(&info),
             inner: Arc::new(Inner {
                 info,
                 id,
-                context,
                 queues,
                 staging: Staging::default(),
                 pending: Mutex::default(),
                 allocated: AtomicU64::new(0),
-                programs: Mutex::default(),
+                compiled,
                 _part: part,
             }),
             helpers: Helpers::None,

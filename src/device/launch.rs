@@ -20,10 +20,10 @@ use crate::device::layout::{Element, ImageSize, Real};
 /// The kernels of one stage and the choices that they were compiled with.
 #[derive(Debug)]
 pub struct Program {
-    pub(super) device: Arc<Inner>,
     pub(super) defines: Defines,
     pub(super) stage: &'static str,
     pub(super) kernels: Vec<Kernel>,
+    pub(super) device: Arc<Inner>,
 }
 
 /// A compiled kernel.

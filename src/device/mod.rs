@@ -2,6 +2,7 @@
 #![allow(unsafe_code)]
 
 mod array;
+mod compiled;
 mod context;
 mod defines;
 mod error;

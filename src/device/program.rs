@@ -12,7 +12,8 @@ use ocl_core::{
 use rustc_hash::FxHasher;
 
 use crate::base::error::{Error, Result};
-use crate::device::context::{Built, Device, Inner};
+use crate::device::compiled::Built;
+use crate::device::context::{Device, Inner};
 use crate::device::defines::Defines;
 use crate::device::error::device_error;
 use crate::device::launch::{Kernel, Program};
@@ -189,7 +190,7 @@ impl Kernels {
         &self.defines
     }
 
-    /// Builds `kernels/<stage>.cl`, unless this device has done so already: each [`Program`] has kernels of its own.
+    /// Builds `kernels/<stage>.cl`, unless that has been done in its context already: each [`Program`] has kernels of its own.
     ///
     /// # Errors
     /// A build failure, with the compiler's log.
@@ -198,6 +199,7 @@ impl Kernels {
         let text = source(stage, &self.defines, R::IS_DOUBLE);
         let built = || {
             inner
+                .compiled
                 .programs
                 .lock()
                 .unwrap_or_else(PoisonError::into_inner)
@@ -234,7 +236,7 @@ const COMPILER: &str = "if the log names no line, memory may have run out for th
 fn compile(inner: &Inner, stage: &'static str, text: &str) -> Result<Built> {
     let bytes = CString::new(text)
         .map_err(|_| Error::device(stage, "the source holds a NUL byte", COMPILER))?;
-    let program = core::create_program_with_source(&inner.context, &[bytes])
+    let program = core::create_program_with_source(&inner.compiled.context, &[bytes])
         .map_err(|e| device_error(stage, &e, COMPILER))?;
     let seat = Seat::of(&inner.info, text);
     let apart = seat.as_ref().map(Seat::options).unwrap_or_default();

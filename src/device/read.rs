@@ -14,13 +14,13 @@ use crate::device::staging::Slot;
 /// A read that is under way; [`PendingRead::wait`] blocks until it is done.
 #[derive(Debug)]
 pub struct PendingRead<T: Element> {
-    device: Arc<Inner>,
     name: &'static str,
     len: usize,
     slot: Option<Slot>,
     map: MemMap<T>,
     /// End of the mapping.
     event: Event,
+    device: Arc<Inner>,
 }
 
 impl<T: Element> PendingRead<T> {
@@ -39,7 +39,7 @@ impl<T: Element> PendingRead<T> {
         };
         let slot = device
             .staging
-            .take(&device.context, values * size_of::<T>())
+            .take(&device.compiled.context, values * size_of::<T>())
             .map_err(|e| device_error(&what, &e, LOWER))?;
         let queue = device.queue();
         core::enqueue_copy_buffer::<T, _, _, _>(

@@ -13,7 +13,7 @@ type Taken = BTreeMap<u64, BTreeSet<u32>>;
 
 static TAKEN: Mutex<Taken> = Mutex::new(BTreeMap::new());
 
-/// The smallest number that the program of no other open device of the process with the same text has, free again when this is dropped.
+/// The smallest number that no other program of the process with the same text has, free again when this is dropped.
 ///
 /// PoCL loads a kernel once for a process, and once more for more work-items or another first one; it counts the uses by
 /// kernel, program and work-group size alone. With the same program in the queues of several devices it confuses those counts, and version 3.1
@@ -63,7 +63,7 @@ impl Seat {
         })
     }
 
-    /// Further options that the program is built with; none for the first of its text, whose compiled kernels all processes share.
+    /// Further options that the program is built with; none for the smallest, whose compiled kernels all processes share.
     pub fn options(&self) -> String {
         match self.number {
             0 => String::new(),
