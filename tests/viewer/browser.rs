@@ -1,5 +1,6 @@
 //! The page in headless Chromium, where there is one: its picture is the kernels', and it does as it is told.
 
+use std::net::TcpListener;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
@@ -124,6 +125,22 @@ pub fn rendered(splats: &Gaussians, anti_alias: bool, views: &[SceneView]) -> Ve
     views.iter().map(&mut one).collect()
 }
 
+/// A page that shows another, and fetches what is answered after this time.
+fn within(page: &str, wait: Duration) -> String {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = listener.local_addr().unwrap();
+    std::thread::spawn(move || {
+        let connection = listener.accept();
+        std::thread::sleep(wait);
+        drop(connection);
+    });
+    format!(
+        "<!doctype html><body style='margin:0'>\
+         <iframe src='{page}' style='border:0;width:100vw;height:100vh'></iframe>\
+         <script>fetch('http://{address}', {{ mode: 'no-cors' }}).catch(() => 0)</script>"
+    )
+}
+
 #[test]
 fn the_browser_shows_what_the_kernels_render() {
     let Some(browser) = browser() else {
@@ -135,25 +152,32 @@ fn the_browser_shows_what_the_kernels_render() {
         [(false, 3, 1, ""), (true, 2, 4, ""), (true, 0, 0, "&worker")]
     {
         let splats = scene(3000, degree);
-        std::fs::write(
-            dir.path().join("scene.html"),
-            page(&splats, anti_aliased, &all),
-        )
-        .unwrap();
+        let page = page(&splats, anti_aliased, &all);
+        std::fs::write(dir.path().join("scene.html"), page).unwrap();
         let picture = dir.path().join("shot.png");
         let shot = format!("--screenshot={}", picture.display());
         let hash = format!("view={shown}&size=160x120&bare{by_worker}");
         let expected = rendered(&splats, anti_aliased, &all);
-        let once = || {
-            open(&browser, dir.path(), "scene.html", &hash, &[&shot]);
+        let once = |wait: u64| {
+            match wait {
+                0 => open(&browser, dir.path(), "scene.html", &hash, &[&shot]),
+                _ => {
+                    let frame = within(&format!("scene.html#{hash}"), Duration::from_secs(wait));
+                    std::fs::write(dir.path().join("frame.html"), frame).unwrap();
+                    open(&browser, dir.path(), "frame.html", "", &[&shot])
+                }
+            };
             let found = image::open(&picture).unwrap().to_rgb8();
             image::imageops::crop_imm(&found, 0, 0, 160, 120).to_image()
         };
-        // The browser's clock for pictures does not wait for workers.
-        let attempts = if by_worker.is_empty() { 1 } else { 5 };
-        let mut pictures = (0..attempts).map(|_| once());
+        // The browser's clock for pictures waits for what it fetches, and for no worker.
+        let waits: &[u64] = match by_worker {
+            "" => &[0],
+            _ => &[1, 5, 20, 40],
+        };
         let good = |found: &RgbImage| alike(found, &expected[shown]) > ALIKE;
-        let found = pictures.find(good).unwrap_or_else(once);
+        let mut pictures = waits.iter().map(|wait| once(*wait));
+        let found = pictures.find(good).unwrap_or_else(|| once(0));
         let like = alike(&found, &expected[shown]);
         println!("anti-aliased: {anti_aliased}, SH degree {degree}: {like:.1} dB");
         assert!(like > ALIKE, "{like} dB");
