@@ -105,7 +105,7 @@ fn data_switch_items() {
             size,
         }];
     };
-    for (data, few) in [(&data, 600), (&room(64), 1200)] {
+    for (data, few) in [(&data, 400), (&room(64), 1200)] {
         let budgets = Plan::new(data, &TrainConfig::default())
             .unwrap()
             .for_budgets();

@@ -65,9 +65,10 @@ pub struct MhConfig {
     pub coarse_proposals: u32,
     /// Fine proposals per step at η = 0 (Eq. 16); 0 leaves the phase out.
     pub fine_proposals: u32,
-    /// Coarse proposal spread in units of the Gaussian's own scale.
+    /// Distance of a coarse birth from its source, in units of the source's standard deviations (Eq. 15: 10 to 5): at 1 it lies where the source
+    /// itself is dense. Farther ones are at places that nothing has shown to be on a surface, and training fits them to single photos.
     pub coarse_spread: [f64; 2],
-    /// Fine proposal spread, likewise.
+    /// Distance of a fine birth, likewise (Eq. 16: 2 to 1).
     pub fine_spread: [f64; 2],
     /// Voxel edge s of Eq. 7, in local units (scene extent 1; the papers' scenes have 1–10 units).
     pub voxel_edge: [f64; 2],
@@ -134,10 +135,10 @@ impl Default for MhConfig {
             births_from_iteration: None,
             until_iteration: 20_000,
             interval: 100,
-            coarse_proposals: 3_000,
-            fine_proposals: 12_000,
-            coarse_spread: [10.0, 5.0],
-            fine_spread: [2.0, 1.0],
+            coarse_proposals: 4_500,
+            fine_proposals: 18_000,
+            coarse_spread: [1.0, 1.0],
+            fine_spread: [1.0, 1.0],
             voxel_edge: [0.02, 0.005],
             voxel_growth_from: 0.0,
             pixel_proposals: 7_500,
@@ -170,6 +171,8 @@ impl MhConfig {
             until_iteration: 15_000,
             coarse_proposals: 4_500,
             fine_proposals: 16_000,
+            coarse_spread: [10.0, 5.0],
+            fine_spread: [2.0, 1.0],
             pixel_proposals: 0,
             pair_pixels: 0.0,
             noise_rate: 0.0,

@@ -239,7 +239,7 @@ impl Plan {
     fn fewest_iterations(&self) -> u32 {
         let all = self.config.work.resolution_iterations;
         all / if self.alpha == Alpha::Transparency {
-            2
+            3
         } else {
             1
         }

@@ -97,3 +97,42 @@ fn births_meet_the_relocated_in_their_new_voxels() {
     let (removed, _) = counts(&removing);
     assert!(removed.iter().all(|c| *c as usize == N - DEAD));
 }
+
+/// Births are draws from their sources, as far as where they lie goes; the paper's lie several times as far.
+#[test]
+fn births_lie_where_their_sources_are_dense() {
+    let scene = dying(N);
+    // Mean of |x|² over that of a draw.
+    let squared_spread = |config: &MhConfig, kind: BirthKind| {
+        let config = MhConfig {
+            relocation: false,
+            births_from_iteration: Some(500),
+            ..*config
+        };
+        let outcome = step(&config, &scene);
+        let born = outcome.births.iter().filter(|birth| birth.kind == kind);
+        let ratios: Vec<f64> = born
+            .map(|birth| {
+                let edit = outcome.edits.iter().find(|e| e.dst == birth.dst).unwrap();
+                let row = birth.source.unwrap() as usize;
+                let square = |k: usize| {
+                    let x = f64::from(edit.position[k] - scene.positions[k][row]);
+                    [x * x, f64::from(scene.log_scales[k][row]).exp().powi(2)]
+                };
+                let [x, y, z] = [0, 1, 2].map(square);
+                (x[0] + y[0] + z[0]) / (x[1] + y[1] + z[1])
+            })
+            .collect();
+        assert!(ratios.len() > 100, "{kind:?}: {}", ratios.len());
+        ratios.iter().sum::<f64>() / ratios.len() as f64
+    };
+    for (config, coarse, fine) in [
+        (MhConfig::default(), 1.0, 1.0),
+        (MhConfig::paper(), 100.0, 4.0),
+    ] {
+        for (kind, expected) in [(BirthKind::Coarse, coarse), (BirthKind::Fine, fine)] {
+            let found = squared_spread(&config, kind) / expected;
+            assert!((0.75..1.33).contains(&found), "{kind:?}: {found}");
+        }
+    }
+}
