@@ -176,7 +176,7 @@ pub enum Birth {
     /// no opacity to the scene.
     Split,
     /// The source keeps its own; the birth has `birth-scale` times its scale, and the lesser of its opacity and `birth-opacity`. A
-    /// birth lands up to several scales from its source, where it mostly spoils the picture at first: a faint one spoils little.
+    /// birth mostly spoils the picture at first, the more the farther it lands from its source: a faint one spoils little.
     #[default]
     Faint,
 }

@@ -65,10 +65,10 @@ pub struct MhConfig {
     pub coarse_proposals: u32,
     /// Fine proposals per step at η = 0 (Eq. 16); 0 leaves the phase out.
     pub fine_proposals: u32,
-    /// Distance of a coarse birth from its source, in units of the source's standard deviations (Eq. 15: 10 to 5): at 1 it lies where the source
-    /// itself is dense. Farther ones are at places that nothing has shown to be on a surface, and training fits them to single photos.
+    /// Standard deviations of a coarse birth about its source over the source's own, along each of its axes (Eq. 15: 10 to 5): at 1 births are where
+    /// the source itself is dense. Farther ones are at places that nothing has shown to be on a surface, and training fits them to single photos.
     pub coarse_spread: [f64; 2],
-    /// Distance of a fine birth, likewise (Eq. 16: 2 to 1).
+    /// The same of a fine birth (Eq. 16: 2 to 1).
     pub fine_spread: [f64; 2],
     /// Voxel edge s of Eq. 7, in local units (scene extent 1; the papers' scenes have 1–10 units).
     pub voxel_edge: [f64; 2],

@@ -19,7 +19,7 @@ pub struct WorkConfig {
     /// Largest share of the run at the smaller sizes together.
     pub resolution_share: f64,
     /// A run with a time budget into which fewer iterations fit trains at 3/4 of the photos' size, and at 9/16 where fewer than half as
-    /// many fit then (0: at the size asked for, however few). Half of it for transparent photos, which lose more by a smaller size.
+    /// many fit then (0: at the size asked for, however few). A third of it for transparent photos, which lose more by a smaller size.
     pub resolution_iterations: u32,
     /// Morton order of the Gaussians, so that neighbours in space are neighbours in memory.
     pub morton_order: bool,

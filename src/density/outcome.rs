@@ -64,9 +64,9 @@ impl DensityStats {
 pub enum BirthKind {
     /// In image space.
     Pixel,
-    /// Far from its source.
+    /// About its source, in the coarse phase.
     Coarse,
-    /// Near its source.
+    /// About its source, in the fine phase.
     Fine,
 }
 

@@ -235,7 +235,7 @@ impl Plan {
     }
 
     /// Iterations of full size that are too few for it under a time budget. Transparent photos lose more by a smaller size
-    /// (docs/results/first-gaussians.md).
+    /// (docs/results/first-gaussians.md, docs/results/deaths-and-births.md for the third).
     fn fewest_iterations(&self) -> u32 {
         let all = self.config.work.resolution_iterations;
         all / if self.alpha == Alpha::Transparency {

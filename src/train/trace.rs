@@ -17,9 +17,9 @@ const GIVEN: u32 = u32::MAX;
 pub enum MoveKind {
     /// Birth in image space (mh).
     PixelBirth,
-    /// Birth far from its source (mh).
+    /// Birth of the coarse phase (mh).
     CoarseBirth,
-    /// Birth near its source (mh).
+    /// Birth of the fine phase (mh).
     FineBirth,
     /// Birth by another strategy.
     Birth,
@@ -35,8 +35,8 @@ impl std::fmt::Display for MoveKind {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.write_str(match self {
             Self::PixelBirth => "births in image space",
-            Self::CoarseBirth => "births far from their sources",
-            Self::FineBirth => "births near their sources",
+            Self::CoarseBirth => "births about Gaussians, coarse phase",
+            Self::FineBirth => "births about Gaussians, fine phase",
             Self::Birth => "births",
             Self::Relocation => "relocations",
             Self::Death => "deaths",

@@ -1,10 +1,14 @@
 //! The switches of Metropolis–Hastings density control, one by one.
 
+use std::collections::HashMap;
+
 use super::step::{breaches, context, dying};
 use super::{Scene, on_threads};
 use mhsplat::config::{Acceptance, MhConfig, ViewSubset};
 use mhsplat::density::mh::MetropolisHastings;
-use mhsplat::density::{DensityControl, Outcome, Statistics, StatisticsKind, StepContext};
+use mhsplat::density::{
+    BirthKind, DensityControl, Outcome, Statistics, StatisticsKind, StepContext,
+};
 
 const N: usize = 20_000;
 
@@ -358,4 +362,53 @@ fn births_are_counted_before_the_next_phase() {
         "{} of {expected}",
         stats.mean_prior
     );
+}
+
+/// By default births are spread about their sources as those are themselves, at the start and at the end; the paper's are spread farther, at the end
+/// half as far as at the start.
+#[test]
+fn births_are_spread_as_their_sources_are() {
+    let scene = Scene::random(N, 8);
+    // Mean of |x|² over that of a draw from the source.
+    let squared_spread = |config: &MhConfig, progress: f64, kind: BirthKind| {
+        let config = MhConfig {
+            relocation: false,
+            births_from_iteration: Some(500),
+            // What is proposed is born: refusals by voxel would favour the far ones.
+            lambda_voxel: 0.0,
+            target_acceptance: [0.0, 0.0],
+            temperature: [1e9, 1e9],
+            ..*config
+        };
+        let outcome = at(&config, &scene, &context(700, progress, 3));
+        let places: HashMap<u32, [f32; 3]> =
+            outcome.edits.iter().map(|e| (e.dst, e.position)).collect();
+        let born = outcome.births.iter().filter(|birth| birth.kind == kind);
+        let ratios: Vec<f64> = born
+            .map(|birth| {
+                let row = birth.source.unwrap() as usize;
+                let sum = |square: &dyn Fn(usize) -> f64| -> f64 { (0..3).map(square).sum() };
+                let place = places[&birth.dst];
+                let moved = |k: usize| f64::from(place[k] - scene.positions[k][row]).powi(2);
+                let drawn = |k: usize| (2.0 * f64::from(scene.log_scales[k][row])).exp();
+                sum(&moved) / sum(&drawn)
+            })
+            .collect();
+        assert!(ratios.len() > 500, "{kind:?}: {}", ratios.len());
+        ratios.iter().sum::<f64>() / ratios.len() as f64
+    };
+    for (config, progress, coarse, fine) in [
+        (MhConfig::default(), 0.0, 1.0, 1.0),
+        (MhConfig::default(), 0.5, 1.0, 1.0),
+        (MhConfig::paper(), 0.0, 100.0, 4.0),
+        (MhConfig::paper(), 0.5, 56.25, 2.25),
+    ] {
+        for (kind, expected) in [(BirthKind::Coarse, coarse), (BirthKind::Fine, fine)] {
+            let found = squared_spread(&config, progress, kind) / expected;
+            assert!(
+                (0.8..1.25).contains(&found),
+                "{kind:?}, {progress}: {found}"
+            );
+        }
+    }
 }

@@ -1,7 +1,7 @@
 //! Metropolis–Hastings density control (\[MH\] = Kim, Jung, Park, NeurIPS 2025, §4 and Alg. 1).
 //!
 //! `step.rs` reads as the algorithm: the dead and the faintest Gaussians are removed, and as many births more take their places (or
-//! the dead are relocated, Eq. 17), except at the last step; births are proposed far from their sources and near (Eq. 14–16) and in image space (`pixel.rs`), voxels are counted
+//! the dead are relocated, Eq. 17), except at the last step; births are proposed about Gaussians in two phases, coarse and fine (Eq. 14–16), and in image space (`pixel.rs`), voxels are counted
 //! (`sparsity.rs`), and the births are decided on (Eq. 20, `accept.rs`). Within a phase every proposal sees the same counts, which keeps it parallel; births of the coarse phase
 //! are counted before the fine phase is decided. Proposals do not depend on what is accepted, so that the births of all phases
 //! can be estimated together before.

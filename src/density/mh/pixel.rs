@@ -1,6 +1,6 @@
 //! Births in image space, at pixels in which photo and render differ.
 //!
-//! A copy lands a few scales from its source, so that an empty region, the sky above all, is reached by chance alone, if at
+//! A copy lands about as far from its source as that is large, so that an empty region, the sky above all, is reached by chance alone, if at
 //! all. Here a pixel is drawn ∝ its error; the birth lies beyond the rendered surface with a probability that follows the
 //! pixel's remaining transmittance, else at the rendered mean depth, if another picture shows the same surface there and none
 //! sees through it: what one camera alone has right before it has large errors, too, and a birth there would thicken it. Not in

@@ -70,9 +70,9 @@ pub enum Draw {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Phase {
-    /// Far from the source.
+    /// Spread by `coarse-spread`.
     Coarse,
-    /// Near it.
+    /// Spread by `fine-spread`.
     Fine,
 }
 
