@@ -172,12 +172,11 @@ pub enum Acceptance {
 pub enum Birth {
     /// The source keeps its own and the birth has the same (\[MH\] §4.3: other parameters are copied).
     Copy,
-    /// Source and births share the source's opacity and scale, as relocation does (\[MCMC\] Eq. 9), so that a birth adds
-    /// no opacity to the scene.
-    Split,
-    /// The source keeps its own; the birth has `birth-scale` times its scale, and the lesser of its opacity and `birth-opacity`. A
-    /// birth mostly spoils the picture at first, the more the farther it lands from its source: a faint one spoils little.
+    /// Birth and source are two parts of what the source was, apart from each other along one of its axes, which keep what it painted, its mean and its
+    /// covariance (Richardson and Green 1997, the split move).
     #[default]
+    Split,
+    /// The source keeps its own; the birth has `birth-scale` times its scale, and the lesser of its opacity and `birth-opacity`.
     Faint,
 }
 

@@ -21,12 +21,14 @@ pub struct MhConfig {
     /// Number of views that births are estimated in, those that training takes next (only for `surrogate = "probe"`); all if
     /// there are fewer.
     pub probe_views: u32,
-    /// Opacity and scale of a birth (§4.3).
+    /// Opacity and scale of a birth, and its source (§4.3).
     pub birth: Birth,
     /// Upper bound of the opacity of a faint birth.
     pub birth_opacity: f64,
     /// Scale of a faint birth over that of its source.
     pub birth_scale: f64,
+    /// Distance of the two parts of a split source from its centre, in its standard deviations along the axis of the split.
+    pub split_distance: f64,
     /// λ_v of the voxel prior (Eq. 7); 0 switches the prior off: every D and every exact ratio is 1.
     pub lambda_voxel: f64,
     /// Temperature T of the acceptance: a birth is accepted with probability ρ^{1/T}. 1 is the paper's; larger values accept
@@ -118,9 +120,10 @@ impl Default for MhConfig {
             acceptance: Acceptance::Eq20,
             surrogate: Surrogate::Importance,
             probe_views: 4,
-            birth: Birth::Faint,
+            birth: Birth::Split,
             birth_opacity: 0.1,
             birth_scale: 0.6,
+            split_distance: 0.9,
             lambda_voxel: 5.0,
             temperature: [1.0, 1.0],
             target_acceptance: [0.5, 0.95],
@@ -135,8 +138,8 @@ impl Default for MhConfig {
             births_from_iteration: None,
             until_iteration: 20_000,
             interval: 100,
-            coarse_proposals: 4_500,
-            fine_proposals: 18_000,
+            coarse_proposals: 0,
+            fine_proposals: 22_500,
             coarse_spread: [1.0, 1.0],
             fine_spread: [1.0, 1.0],
             voxel_edge: [0.02, 0.005],
@@ -213,6 +216,12 @@ impl MhConfig {
         check(faint(self.birth_opacity), "birth-opacity", opacity)?;
         let good = self.birth_scale > 0.0 && self.birth_scale <= 1.0;
         check(good, "birth-scale", "more than 0 and at most 1 expected")?;
+        let good = self.split_distance > 0.0 && self.split_distance < 1.0;
+        check(
+            good,
+            "split-distance",
+            "more than 0 and less than 1 expected",
+        )?;
         let good = self
             .births_from_iteration
             .is_none_or(|from| from <= self.until_iteration);
@@ -247,6 +256,9 @@ impl MhConfig {
             let other = matches!(self.acceptance, Acceptance::Alg1 | Acceptance::Centred);
             let what = "\"probe\" goes with the acceptance \"eq20\" (or \"exact-prior\", where nothing is estimated)";
             check(!other, "surrogate", what)?;
+            let what = "\"probe\" judges births that leave their sources as they are: mh.birth \"faint\" or \"copy\" expected";
+            let moves = self.birth == Birth::Split && self.estimate_views() > 0;
+            check(!moves, "surrogate", what)?;
         }
         let what = "0 or more expected";
         check(not_below(&self.turnover), "turnover", what)?;

@@ -72,17 +72,8 @@ pub struct Expected {
     pub born: f64,
 }
 
-/// A birth whose first-order estimate is wanted.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Candidate {
-    /// The Gaussian to be written; `dst` has no meaning.
-    pub birth: Edit,
-    /// Changes of the source's opacity logit and its three log-scales if birth and source share; else `None`.
-    pub source_change: Option<[f64; 4]>,
-}
-
-/// Returns the first-order estimate of each birth, in the order given: the change of the loss, NaN for a birth that no view sees.
-pub type Estimator<'a> = dyn FnMut(&[Candidate]) -> Result<Vec<f64>> + 'a;
+/// Returns the first-order estimate of each birth, of which `dst` has no meaning, in the order given: the change of the loss, NaN for a birth that no view sees.
+pub type Estimator<'a> = dyn FnMut(&[Edit]) -> Result<Vec<f64>> + 'a;
 
 /// A strategy of density control. It decides from the arguments of a step and keeps nothing between steps, so that a
 /// checkpoint needs nothing of it.

@@ -24,7 +24,7 @@ mod statistics;
 
 pub use crate::scene::Edit;
 pub use adc::Adaptive;
-pub use control::{Candidate, DensityControl, Estimator, Expected, NoiseLaw, StepContext};
+pub use control::{DensityControl, Estimator, Expected, NoiseLaw, StepContext};
 pub use mcmc::Mcmc;
 pub use none::Fixed;
 pub use outcome::{BirthKind, BirthRecord, DensityStats, Outcome};

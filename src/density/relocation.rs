@@ -8,7 +8,6 @@
 //!
 //! whose integrand is smooth, positive and falling, for any N.
 
-use std::collections::BTreeMap;
 use std::f64::consts::{FRAC_2_SQRT_PI, PI};
 use std::sync::OnceLock;
 
@@ -351,39 +350,6 @@ fn find_alive(scene: &SceneState<'_>, first: usize, threshold: f64, alive: &mut 
             *alive &= value.is_finite();
         }
     }
-}
-
-/// Lets births share opacity and scale with their sources: a source with m births becomes 1 + m equal parts, itself being
-/// one. Changes the births in place and returns the edits of the sources, rising. There is no floor as in relocation: births
-/// are few beside their sources, and a floor halved their number in a scene whose fog has to go first (22.6 against 25.2 dB on
-/// one object after 600 iterations).
-pub(super) fn share(births: &mut [Edit], scene: &SceneState<'_>) -> Vec<Edit> {
-    let mut families: BTreeMap<u32, (u32, Edit)> = BTreeMap::new();
-    for birth in births.iter() {
-        families.entry(birth.src).or_insert((1, *birth)).0 += 1;
-    }
-    let sources: Vec<Edit> = families
-        .into_par_iter()
-        .filter_map(|(source, (copies, one))| {
-            let part = split(f64::from(one.opacity_logit), copies);
-            Some(Edit {
-                dst: source,
-                position: gather(&scene.positions, source as usize)?,
-                log_scale: one
-                    .log_scale
-                    .map(|s| (f64::from(s) + part.log_scale_offset) as f32),
-                opacity_logit: part.opacity_logit as f32,
-                ..one
-            })
-        })
-        .collect();
-    for birth in births {
-        if let Ok(at) = sources.binary_search_by_key(&birth.src, |e| e.dst) {
-            birth.log_scale = sources[at].log_scale;
-            birth.opacity_logit = sources[at].opacity_logit;
-        }
-    }
-    sources
 }
 
 #[cfg(test)]

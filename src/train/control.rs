@@ -6,7 +6,7 @@ use std::time::Instant;
 use crate::base::error::Result;
 use crate::base::rng::Stream;
 use crate::density::{
-    Candidate, DensityControl, DensityStats, NoiseLaw, Outcome, StatisticsKind, StepContext,
+    DensityControl, DensityStats, Edit, NoiseLaw, Outcome, StatisticsKind, StepContext,
 };
 use crate::device::tuning::status;
 use crate::device::{Kernels, Program, StageTime};
@@ -234,7 +234,7 @@ impl Control {
             0 => {
                 let evidence = self.fitting_evidence(on, iteration, progress)?;
                 let strategy = self.strategy.clone();
-                let mut estimate = |born: &[Candidate]| self.estimate(on, iteration, born);
+                let mut estimate = |born: &[Edit]| self.estimate(on, iteration, born);
                 let decision = evidence.decide(strategy.as_ref(), &mut estimate)?;
                 Deciding::decided([iteration; 2], progress, decision)
             }
@@ -360,12 +360,12 @@ impl Control {
         &mut self,
         on: &mut Working<'_>,
         iteration: u32,
-        candidates: &[Candidate],
+        births: &[Edit],
     ) -> Result<Vec<f64>> {
         let lambda = self.plan.config.loss.lambda_ssim;
         match &mut self.estimates {
             Some(estimates) => {
-                estimates.changes(context(on, &self.edit, lambda, iteration), candidates)
+                estimates.changes(context(on, &self.edit, lambda, iteration), births)
             }
             None => Ok(Vec::new()),
         }

@@ -9,7 +9,7 @@ use std::time::Instant;
 
 use crate::base::error::Result;
 use crate::base::math::sigmoid;
-use crate::density::{Candidate, DensityControl};
+use crate::density::{DensityControl, Edit};
 use crate::device::{Array, Defines, Device, Program, StageTime};
 use crate::pipeline::backward::{Backward, GRADIENT_ROWS};
 use crate::pipeline::buffers::GaussianBuffers;
@@ -27,14 +27,6 @@ use crate::train::views::Views;
 pub const EPSILON_DOUBLE: f64 = 1e-6;
 /// ε in single precision, where a smaller one would vanish beside the transmittance.
 pub const EPSILON_SINGLE: f64 = 1e-4;
-
-/// Planes of the opacity logit and the three log-scales.
-pub const SHAPE: [usize; 4] = [
-    Plane::OPACITY,
-    Plane::LOG_SCALE,
-    Plane::LOG_SCALE + 1,
-    Plane::LOG_SCALE + 2,
-];
 
 /// The logit of `factor` times the opacity of a logit.
 #[must_use]
@@ -136,14 +128,14 @@ impl Estimates {
 
     /// First-order estimate of each birth: the change of the loss, mean over the views that training takes next, at the size
     /// that they have now; NaN if none of them sees it. The scene is taken as it is, before the step's relocations and removals.
-    pub fn changes(&mut self, mut at: Context<'_>, candidates: &[Candidate]) -> Result<Vec<f64>> {
-        if candidates.is_empty() {
+    pub fn changes(&mut self, mut at: Context<'_>, births: &[Edit]) -> Result<Vec<f64>> {
+        if births.is_empty() {
             return Ok(Vec::new());
         }
         let began = Instant::now();
         at.device.finish()?;
         let before = at.device.launches();
-        let changes = self.over_views(&mut at, candidates);
+        let changes = self.over_views(&mut at, births);
         // Counted as `probe`, not as the stages that an estimate passes.
         at.device.forget_launches(before);
         self.time.seconds += began.elapsed().as_secs_f64();
@@ -154,31 +146,26 @@ impl Estimates {
     /// Runs every kernel once on no Gaussians.
     pub fn warm_up(&mut self, mut at: Context<'_>, sh_degree: u32) -> Result<()> {
         let scene = at.with_faint(&[])?;
-        self.in_view(&mut at, &scene, [0, 0], sh_degree, true)?;
+        self.in_view(&mut at, &scene, [0, 0], sh_degree)?;
         Ok(())
     }
 
-    fn over_views(&mut self, at: &mut Context<'_>, candidates: &[Candidate]) -> Result<Vec<f64>> {
-        let scene = at.with_faint(candidates)?;
+    fn over_views(&mut self, at: &mut Context<'_>, births: &[Edit]) -> Result<Vec<f64>> {
+        let scene = at.with_faint(births)?;
         let n = at.gaussians.scene.count;
-        let shared = candidates.iter().any(|t| t.source_change.is_some());
         let first = n / GRADIENT_ROWS * GRADIENT_ROWS;
         let count = self.views.min(at.views.len());
         let views = at.views.upcoming(at.iteration, count);
         let degree = at.gaussians.scene.sh_degree;
-        let mut changes = vec![f64::NAN; candidates.len()];
+        let mut changes = vec![f64::NAN; births.len()];
         for (background_of, view) in (at.iteration..).zip(&views) {
             let number = [background_of as usize, *view];
-            let [faint, sources] = self.in_view(at, &scene, number, degree, shared)?;
+            let slopes = self.in_view(at, &scene, number, degree)?;
             let touched = self.pass.forward.intersected(n)?;
-            for (k, (sum, trial)) in changes.iter_mut().zip(candidates).enumerate() {
-                let logit = f64::from(trial.birth.opacity_logit);
-                let mut here = change(faint[0][n - first + k], logit, EPSILON_SINGLE);
-                if let Some(source) = trial.source_change {
-                    let at = trial.birth.src as usize;
-                    here += (0..4).map(|g| source[g] * sources[g][at]).sum::<f64>();
-                }
-                if touched[k] || here != 0.0 {
+            for (k, (sum, birth)) in changes.iter_mut().zip(births).enumerate() {
+                let logit = f64::from(birth.opacity_logit);
+                let here = change(slopes[n - first + k], logit, EPSILON_SINGLE);
+                if touched[k] {
                     *sum = here + if sum.is_nan() { 0.0 } else { *sum };
                 }
             }
@@ -186,16 +173,14 @@ impl Estimates {
         Ok(changes.iter().map(|c| c / views.len() as f64).collect())
     }
 
-    /// Derivatives with respect to opacity logit and log-scales in one view: of the rows from the last whole 16 of the scene on,
-    /// with the faint cut, and of the scene's own, if `shared`, with the ordinary one.
+    /// Derivatives with respect to the opacity logits in one view, with the faint cut, of the rows from the last whole 16 of the scene on.
     fn in_view(
         &mut self,
         at: &mut Context<'_>,
         faint: &GaussianBuffers,
         [background_of, number]: [usize; 2],
         sh_degree: u32,
-        shared: bool,
-    ) -> Result<[[Vec<f64>; 4]; 2]> {
+    ) -> Result<Vec<f64>> {
         let view = at
             .views
             .view(at.iteration, background_of as u32, number, &[])?;
@@ -212,50 +197,45 @@ impl Estimates {
         at.pipeline
             .loss_gradient(view.number, &pair, at.lambda_ssim, Beside::NOTHING)?;
         let (dimage, degree) = (at.pipeline.image_gradient(), sh_degree as usize);
-        let sources = if shared {
-            let forward = &at.pipeline.forward;
-            at.pipeline
-                .backward
-                .plane_gradients(forward, scene, dimage, [0, degree], SHAPE)?
-        } else {
-            Default::default()
-        };
         self.pass.forward.render(faint, camera, &options)?;
         let first = scene.count / GRADIENT_ROWS * GRADIENT_ROWS;
         let forward = &self.pass.forward;
-        let births =
-            self.pass
-                .backward
-                .plane_gradients(forward, faint, dimage, [first, degree], SHAPE)?;
-        Ok([births, sources])
+        let [slopes] = self.pass.backward.plane_gradients(
+            forward,
+            faint,
+            dimage,
+            [first, degree],
+            [Plane::OPACITY],
+        )?;
+        Ok(slopes)
     }
 }
 
 impl Context<'_> {
     /// A copy of the scene with a faint copy of every birth after its rows: training's own arrays are left alone.
-    fn with_faint(&self, candidates: &[Candidate]) -> Result<GaussianBuffers> {
+    fn with_faint(&self, births: &[Edit]) -> Result<GaussianBuffers> {
         let (old, device) = (&self.gaussians.scene, self.device);
         let n = old.count;
         let (planes, from) = (old.planes(), old.stride);
-        let stride = GaussianBuffers::<f32>::grown_stride(n + candidates.len()).max(from);
+        let stride = GaussianBuffers::<f32>::grown_stride(n + births.len()).max(from);
         let smoothed = self.smoothing.map_or(0, |_| stride);
         let copy = GaussianBuffers {
             params: restride(device, &old.params, planes, from, stride)?,
             filter: Array::zeros(device, "filter", smoothed)?,
             stride,
-            count: n + candidates.len(),
+            count: n + births.len(),
             sh_degree: old.sh_degree,
             shard: None,
         };
-        let faint = |(k, t): (usize, &Candidate)| {
-            let logit = f64::from(t.birth.opacity_logit);
+        let faint = |(k, birth): (usize, &Edit)| {
+            let logit = f64::from(birth.opacity_logit);
             scene::Edit {
                 dst: (n + k) as u32,
                 opacity_logit: scaled_logit(logit, EPSILON_SINGLE) as f32,
-                ..t.birth
+                ..*birth
             }
         };
-        let rows: Vec<scene::Edit> = candidates.iter().enumerate().map(faint).collect();
+        let rows: Vec<scene::Edit> = births.iter().enumerate().map(faint).collect();
         let rows = Array::from_slice(device, "estimated rows", &rows)?;
         // The stage clears moments, which these rows do not have.
         let moments = Array::zeros(device, "no moments", planes * stride)?;

@@ -5,7 +5,7 @@ use crate::base::math::logit;
 use crate::capture::Camera;
 use crate::config::Sampler;
 use crate::density::mh::sparsity::{Lattice, VoxelCounts};
-use crate::density::{Candidate, DensityStats};
+use crate::density::{DensityStats, Edit};
 use crate::device::tuning::Tuning;
 use crate::device::{Array, CameraArg, DeviceKind, StageTime};
 use crate::pipeline::buffers::{GaussianBuffers, ViewSet};
@@ -335,11 +335,11 @@ impl Trainer {
 
     /// First-order estimates of births in the views that training takes next; empty if density control asks for none.
     #[doc(hidden)]
-    pub fn estimate(&mut self, candidates: &[Candidate]) -> Result<Vec<f64>> {
+    pub fn estimate(&mut self, births: &[Edit]) -> Result<Vec<f64>> {
         self.gather()?;
         let at = self.iteration;
         let (control, mut on) = self.controlled();
-        control.estimate(&mut on, at, candidates)
+        control.estimate(&mut on, at, births)
     }
 
     /// Has the stages of every iteration timed, and not of a sample that stands for all. Before the first iteration; it costs some time

@@ -192,6 +192,7 @@ fn no_kind_of_birth_takes_all_the_room() {
     };
     let config = MhConfig {
         births_from_iteration: Some(500),
+        coarse_proposals: 4_500,
         turnover: 0.0,
         ..MhConfig::default()
     };

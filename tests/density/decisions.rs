@@ -12,7 +12,7 @@ use mhsplat::base::math::sigmoid;
 use mhsplat::base::rng::{Philox, Stream};
 use mhsplat::config::{Acceptance, MhConfig, Surrogate};
 use mhsplat::density::mh::{MetropolisHastings, importance::importance};
-use mhsplat::density::{BirthKind, Candidate, DensityControl};
+use mhsplat::density::{BirthKind, DensityControl, Edit};
 use mhsplat::pipeline::reference::{rotation, unit_quaternion};
 
 const ROWS: usize = 2000;
@@ -64,8 +64,8 @@ fn change(k: usize) -> f64 {
 
 fn step(config: &MhConfig, scene: &Scene) -> Decided {
     let mut found = Decided::default();
-    let mut estimate = |all: &[Candidate]| {
-        found.places.extend(all.iter().map(|c| c.birth.position));
+    let mut estimate = |all: &[Edit]| {
+        found.places.extend(all.iter().map(|birth| birth.position));
         Ok((0..all.len()).map(change).collect())
     };
     let (at, errors) = (context(ITERATION, ETA, SEED), scene.errors());

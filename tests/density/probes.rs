@@ -7,8 +7,7 @@ use super::{Scene, on_threads};
 use mhsplat::config::{Acceptance, Birth, MhConfig, Surrogate};
 use mhsplat::density::mh::MetropolisHastings;
 use mhsplat::density::mh::accept::{ln_gains, ln_ratio};
-use mhsplat::density::relocation::split;
-use mhsplat::density::{Candidate, DensityControl, Outcome};
+use mhsplat::density::{DensityControl, Edit, Outcome};
 
 const N: usize = 5000;
 
@@ -25,7 +24,7 @@ fn probed(
     config: &MhConfig,
     scene: &Scene,
     changes: &dyn Fn(usize) -> Vec<f64>,
-) -> (Vec<Candidate>, mhsplat::Result<Outcome>) {
+) -> (Vec<Edit>, mhsplat::Result<Outcome>) {
     let mut tried = Vec::new();
     let outcome = MetropolisHastings::new(config).step_estimated(
         &context(700, 0.1, 1),
@@ -78,7 +77,7 @@ fn what_a_probe_foretells_decides() {
     let born: HashSet<[u32; 3]> = births.map(|e| e.position.map(f32::to_bits)).collect();
     for (bad, rho) in [(true, 0.2689), (false, 0.7311)] {
         let all = (0..tried.len()).filter(|k| spoils(*k) == bad);
-        let all: Vec<[f32; 3]> = all.map(|k| tried[k].birth.position).collect();
+        let all: Vec<[f32; 3]> = all.map(|k| tried[k].position).collect();
         let in_it = |p: &&[f32; 3]| born.contains(&p.map(f32::to_bits));
         let rate = all.iter().filter(in_it).count() as f64 / all.len() as f64;
         // Some thousand proposals: five standard errors.
@@ -100,29 +99,38 @@ fn what_a_probe_foretells_decides() {
 #[test]
 fn a_birth_is_tried_in_the_shape_it_would_have() {
     let scene = Scene::random(N, 8);
-    let [copied, shared, faint] = [Birth::Copy, Birth::Split, Birth::Faint].map(|birth| {
+    let [copied, faint] = [Birth::Copy, Birth::Faint].map(|birth| {
         let config = MhConfig { birth, ..config() };
         probed(&config, &scene, &|n| vec![0.0; n]).0
     });
-    assert!(shared.len() == copied.len() && shared.len() == faint.len());
+    assert!(copied.len() == faint.len() && !copied.is_empty());
     let most = (0.1f64 / 0.9).ln() as f32;
-    for ((s, c), f) in shared.iter().zip(&copied).zip(&faint) {
-        assert_eq!((c.source_change, f.source_change), (None, None));
-        let smaller = c.birth.log_scale.map(|v| v + 0.6f64.ln() as f32);
-        assert_eq!(f.birth.log_scale, smaller);
-        assert_eq!(f.birth.opacity_logit, c.birth.opacity_logit.min(most));
-        assert_eq!(
-            (s.birth.src, s.birth.position),
-            (c.birth.src, c.birth.position)
-        );
-        let own = scene.logits[s.birth.src as usize];
-        assert_eq!(c.birth.opacity_logit, own);
-        let part = split(f64::from(own), 2);
-        assert_eq!(s.birth.opacity_logit, part.opacity_logit as f32);
-        let [logit, x, y, z] = s.source_change.unwrap();
-        assert_eq!(logit, part.opacity_logit - f64::from(own));
-        assert_eq!([x, y, z], [part.log_scale_offset; 3]);
+    for (copy, faint) in copied.iter().zip(&faint) {
+        assert_eq!(copy.opacity_logit, scene.logits[copy.src as usize]);
+        let expected = Edit {
+            log_scale: copy.log_scale.map(|v| v + 0.6f64.ln() as f32),
+            opacity_logit: copy.opacity_logit.min(most),
+            ..*copy
+        };
+        assert_eq!(*faint, expected);
     }
+}
+
+/// A split moves its source, and so has no first-order estimate.
+#[test]
+fn split_births_are_not_judged_by_probes() {
+    let scene = Scene::random(N, 8);
+    let splits = MhConfig {
+        birth: Birth::Split,
+        ..config()
+    };
+    let error = probed(&splits, &scene, &|_| Vec::new()).1.unwrap_err();
+    assert!(error.to_string().contains("mh.birth"), "{error}");
+    let unasked = MhConfig {
+        acceptance: Acceptance::ExactPrior,
+        ..splits
+    };
+    assert!(probed(&unasked, &scene, &|_| Vec::new()).1.is_ok());
 }
 
 #[test]

@@ -1,11 +1,13 @@
-//! What relocation and births make of the opacity they share.
+//! Opacity and shape that relocation and births leave.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 
 use super::step::{breaches, context, dying, step_with};
 use mhsplat::base::math::sigmoid;
-use mhsplat::config::Birth;
-use mhsplat::density::Edit;
+use mhsplat::config::{Birth, MhConfig};
+use mhsplat::density::mh::MetropolisHastings;
+use mhsplat::density::{DensityControl, Edit, Outcome};
+use mhsplat::pipeline::reference::{rotation, unit_quaternion};
 
 #[test]
 fn relocation_keeps_the_rendered_opacity_and_shares_it() {
@@ -61,54 +63,91 @@ fn relocation_keeps_the_rendered_opacity_and_shares_it() {
     }
 }
 
+/// Integral over the plane of what two parts of this opacity paint, a distance either side of the centre and of this scale along one axis, over
+/// that of the source, of opacity `o` and scale 1.
+fn painted(part: f64, scale: f64, distance: f64, o: f64) -> f64 {
+    const STEP: f64 = 0.02;
+    let cells = |to: f64| (-(to / STEP) as i32..=(to / STEP) as i32).map(|k| f64::from(k) * STEP);
+    let footprint = |x: f64, y: f64| (-0.5 * (x * x + y * y)).exp();
+    let sums = cells(7.0).flat_map(|x| cells(7.0).map(move |y| (x, y)));
+    let [two, one] = sums.fold([0.0; 2], |[two, one], (x, y)| {
+        let pass = |side: f64| 1.0 - part * footprint((x + side * distance) / scale, y);
+        [
+            two + 1.0 - pass(1.0) * pass(-1.0),
+            one + o * footprint(x, y),
+        ]
+    });
+    two / one
+}
+
+/// Two parts have together the mean and the covariance of what was split, as relocation left it, and paint as much.
 #[test]
-fn births_share_the_opacity_of_their_source() {
+fn a_split_keeps_what_is_painted_its_mean_and_its_covariance() {
     let scene = dying(7000);
-    let at = context(700, 0.1, 1);
-    let (copied, shared) = (
-        step_with(Birth::Copy, &scene, &at),
-        step_with(Birth::Split, &scene, &at),
-    );
-    assert_eq!(breaches(7000, &shared), Vec::<String>::new());
-    assert_eq!(
-        copied.stats, shared.stats,
-        "the form changes what is born, not whether"
-    );
-    // Before the births: the logit of each source as relocation left it.
-    let pass = |l: f32| sigmoid(-f64::from(l));
-    let mut families: HashMap<u32, Vec<&Edit>> = HashMap::new();
-    for e in shared.edits.iter().filter(|e| e.dst as usize >= 7000) {
-        families.entry(e.src).or_default().push(e);
-    }
+    let [copied, split] = [Birth::Copy, Birth::Split].map(|birth| {
+        let config = MhConfig {
+            birth,
+            target_acceptance: [0.9, 0.9],
+            ..MhConfig::paper()
+        };
+        MetropolisHastings::new(&config)
+            .step(&context(700, 0.1, 1), &scene.state(), &scene.errors())
+            .unwrap()
+    });
+    assert_eq!(breaches(7000, &split), Vec::<String>::new());
+    let left = |outcome: &Outcome, row: u32| outcome.edits.iter().find(|e| e.dst == row).copied();
+    let distance = MhConfig::default().split_distance;
+    let births: Vec<&Edit> = split.edits.iter().filter(|e| e.dst >= 7000).collect();
+    let distinct: HashSet<u32> = births.iter().map(|e| e.src).collect();
     assert!(
-        families.values().any(|f| f.len() == 2),
-        "coarse and fine birth"
+        births.len() > 1000 && distinct.len() == births.len(),
+        "split once each"
     );
-    for (src, births) in &families {
-        let before = copied
-            .edits
-            .iter()
-            .find(|e| e.dst == *src)
-            .map_or(scene.logits[*src as usize], |e| e.opacity_logit);
-        let source = shared.edits.iter().find(|e| e.dst == *src).unwrap();
+    let (mut axes, mut sides, mut checked) = ([0; 3], [0; 2], 0);
+    for birth in births {
+        let i = birth.src as usize;
+        let (own_scale, own_logit) = match left(&copied, birth.src) {
+            Some(edit) => (edit.log_scale, edit.opacity_logit),
+            None => ([0, 1, 2].map(|k| scene.log_scales[k][i]), scene.logits[i]),
+        };
+        let source = left(&split, birth.src).unwrap();
         assert_eq!(
-            source.position,
-            [0, 1, 2].map(|k| scene.positions[k][*src as usize])
+            (source.log_scale, source.opacity_logit),
+            (birth.log_scale, birth.opacity_logit)
         );
-        let after: f64 = births
-            .iter()
-            .map(|e| pass(e.opacity_logit))
-            .product::<f64>()
-            * pass(source.opacity_logit);
-        assert!((after - pass(before)).abs() < 1e-6, "{after} {before}");
-        for e in births {
-            assert_eq!(
-                (e.opacity_logit, e.log_scale),
-                (source.opacity_logit, source.log_scale)
-            );
-            assert!(e.position != source.position);
+        let quaternion = scene.rotations.each_ref().map(|p| f64::from(p[i]));
+        let turn = rotation(unit_quaternion(quaternion).0);
+        let centre = [0, 1, 2].map(|k| f64::from(scene.positions[k][i]));
+        let apart = [0, 1, 2].map(|k| f64::from(birth.position[k]) - centre[k]);
+        for k in 0..3 {
+            let mean = 0.5 * (f64::from(birth.position[k]) + f64::from(source.position[k]));
+            assert!((mean - centre[k]).abs() < 1e-5, "{mean} {centre:?}");
         }
+        // Along the axes of the source.
+        let along = [0, 1, 2].map(|axis| (0..3).map(|k| turn[k][axis] * apart[k]).sum::<f64>());
+        let variance = |s: f32| (2.0 * f64::from(s)).exp();
+        for axis in 0..3 {
+            let together = variance(birth.log_scale[axis]) + along[axis] * along[axis];
+            let ratio = together / variance(own_scale[axis]);
+            assert!((ratio - 1.0).abs() < 1e-3, "{ratio}");
+        }
+        let axis = (0..3)
+            .find(|a| birth.log_scale[*a] != own_scale[*a])
+            .unwrap();
+        axes[axis] += 1;
+        sides[usize::from(along[axis] > 0.0)] += 1;
+        let o = sigmoid(f64::from(own_logit));
+        let part = sigmoid(f64::from(birth.opacity_logit));
+        if part < 0.989 && checked < 5 {
+            let scale = (1.0 - distance * distance).sqrt();
+            let ratio = painted(part, scale, distance, o);
+            assert!((ratio - 1.0).abs() < 1e-3, "{ratio} of {o}");
+            assert!((painted(0.9 * part, scale, distance, o) - 1.0).abs() > 0.05);
+            checked += 1;
+        }
+        assert!(part <= 0.99 + 1e-6);
     }
+    assert!(checked == 5 && axes.iter().all(|n| *n > 100) && sides.iter().all(|n| *n > 400));
 }
 
 #[test]

@@ -153,8 +153,8 @@ fn one_survivor_takes_all() {
     assert_eq!(breaches(300, &outcome), Vec::<String>::new());
     assert_eq!(outcome.stats.relocated, 299);
     assert!(outcome.edits.iter().all(|e| e.src == 123));
-    // One source: one coarse and one fine proposal, whatever was drawn.
-    assert_eq!((outcome.stats.coarse[0], outcome.stats.fine[0]), (1, 1));
+    // One source, which splits once, whatever was drawn.
+    assert_eq!((outcome.stats.coarse[0], outcome.stats.fine[0]), (1, 0));
 }
 
 /// Once few are alive and they are faint, sharing their opacity among all of the dead would kill them, too, and the next
@@ -183,19 +183,18 @@ fn the_faint_host_no_more_than_they_can_bear() {
 #[test]
 fn the_upper_bound_holds() {
     let scene = dying(3000);
-    let free = step_with(Birth::Copy, &scene, &context(700, 0.1, 1));
-    for limit in [3000 + 10, 3000, 100, free.rows, free.rows + 1] {
-        let bounded = StepContext {
-            max_gaussians: Some(limit),
-            ..context(700, 0.1, 1)
-        };
-        let split = step(&scene, &bounded);
-        assert_eq!(breaches(3000, &split), Vec::<String>::new());
-        let outcome = step_with(Birth::Copy, &scene, &bounded);
-        assert_eq!(split.rows, outcome.rows);
-        assert_eq!(outcome.rows, limit.min(free.rows).max(3000));
-        assert_eq!(outcome.stats.accepted as usize, outcome.rows - 3000);
-        assert_eq!(breaches(3000, &outcome), Vec::<String>::new());
+    for form in [Birth::Copy, Birth::Split] {
+        let free = step_with(form, &scene, &context(700, 0.1, 1));
+        for limit in [3000 + 10, 3000, 100, free.rows, free.rows + 1] {
+            let bounded = StepContext {
+                max_gaussians: Some(limit),
+                ..context(700, 0.1, 1)
+            };
+            let outcome = step_with(form, &scene, &bounded);
+            assert_eq!(outcome.rows, limit.min(free.rows).max(3000));
+            assert_eq!(outcome.stats.accepted as usize, outcome.rows - 3000);
+            assert_eq!(breaches(3000, &outcome), Vec::<String>::new());
+        }
     }
 }
 
@@ -251,8 +250,8 @@ fn crowded_voxels_take_fewer_births() {
     for plane in &mut crowded.log_scales {
         plane.fill(-12.0);
     }
-    let a = step(&spread, &context(700, 0.0, 1)).stats;
-    let b = step(&crowded, &context(700, 0.0, 1)).stats;
+    let [a, b] =
+        [&spread, &crowded].map(|scene| step_with(Birth::Copy, scene, &context(700, 0.0, 1)).stats);
     assert!(b.mean_prior < 0.01 && a.mean_prior > 0.1, "{a:?} {b:?}");
     assert!(b.accepted * 10 < a.accepted);
 }

@@ -2,18 +2,18 @@
 
 use rustc_hash::FxHashSet;
 
-use crate::config::Birth;
 use crate::density::mh::proposal::Decision;
 use crate::density::mh::sparsity::VoxelCounts;
 use crate::density::outcome::{BirthKind, BirthRecord, DensityStats, Outcome};
-use crate::density::relocation::{Relocation, share};
-use crate::density::state::SceneState;
+use crate::density::relocation::Relocation;
 use crate::scene::Edit;
 
 /// The births of a step, in the order of decision.
 pub(super) struct Births {
-    /// Copies, which may share with their sources.
+    /// Births about their sources.
     edits: Vec<Edit>,
+    /// What split sources become.
+    sources: Vec<Edit>,
     /// Births with parameters of their own.
     fresh: Vec<Edit>,
     /// Number of rows so far.
@@ -34,6 +34,7 @@ impl Births {
         let max = max_gaussians.map_or(usize::MAX, |max| max.saturating_add(removed.len()));
         Self {
             edits: Vec::new(),
+            sources: Vec::new(),
             fresh: Vec::new(),
             len,
             // Rows are named by 32 bits.
@@ -81,6 +82,7 @@ impl Births {
                 dst,
                 ..proposal.edit
             });
+            self.sources.extend(proposal.source);
             counts.add(proposal.edit.position.map(f64::from));
             self.records.push(BirthRecord {
                 dst,
@@ -98,8 +100,6 @@ impl Births {
     /// The outcome of the step: the edits of relocation and births, rows to remove, counters.
     pub(super) fn finish(
         mut self,
-        form: Birth,
-        scene: &SceneState<'_>,
         relocation: Relocation,
         mut importance: Vec<f64>,
         counts: &VoxelCounts<'_>,
@@ -113,17 +113,8 @@ impl Births {
         if stats.proposed > 0 {
             stats.mean_prior = self.prior_sum / stats.proposed as f64;
         }
-        if form == Birth::Split {
-            let sources = share(&mut self.edits, scene);
-            self.edits.extend(sources);
-        }
         // Births start from the result of relocation, and their edit of a source replaces that of relocation.
-        let split: FxHashSet<u32> = self
-            .edits
-            .iter()
-            .filter(|e| e.src == e.dst)
-            .map(|e| e.dst)
-            .collect();
+        let split: FxHashSet<u32> = self.sources.iter().map(|e| e.dst).collect();
         for moved in relocation.moved_edits() {
             importance[moved.dst as usize] = importance[moved.src as usize];
         }
@@ -132,6 +123,7 @@ impl Births {
         edits.retain(|e| !split.contains(&e.dst));
         edits.append(&mut self.fresh);
         edits.append(&mut self.edits);
+        edits.append(&mut self.sources);
         Outcome {
             edits,
             rows: self.len,

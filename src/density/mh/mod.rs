@@ -13,6 +13,7 @@ mod pixel;
 mod progress;
 mod proposal;
 pub mod sparsity;
+mod splitting;
 mod step;
 
 pub(crate) use crate::density::mh::progress::lerp;

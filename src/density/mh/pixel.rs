@@ -146,6 +146,7 @@ pub(super) fn propose(
         let importance = pixels.importance(*picture.error.get(picture.at(at))?);
         Some(Proposal {
             edit: birth(config, (context.pictures, picture), at, u, src)?,
+            source: None,
             importance,
             change: None,
             ln_gain: accept::ln_gain(config.acceptance, importance),

@@ -1,10 +1,9 @@
 //! Births before they are decided on, and after.
 
 use crate::base::error::Result;
-use crate::density::control::Candidate;
 use crate::density::mh::accept;
 use crate::density::outcome::BirthKind;
-use crate::density::relocation::{Relocation, split};
+use crate::density::relocation::Relocation;
 use crate::density::state::numerics;
 use crate::scene::Edit;
 
@@ -12,6 +11,8 @@ use crate::scene::Edit;
 pub(super) struct Proposal {
     /// The Gaussian to be written; `dst` is set once it is known which births are accepted.
     pub(super) edit: Edit,
+    /// The part that its source becomes if the two are made of it.
+    pub(super) source: Option<Edit>,
     /// Importance I of the source or pixel.
     pub(super) importance: f64,
     /// First-order change of the loss; `None` before an estimate.
@@ -56,28 +57,6 @@ pub(super) struct Proposals {
     pub(super) phases: [(BirthKind, Vec<Proposal>); 3],
     /// Importance of each row.
     pub(super) importance: Vec<f64>,
-}
-
-impl Proposal {
-    /// The birth to be estimated: the one that would be written if it were its source's only one in the step.
-    pub(super) fn candidate(&self, shares: bool) -> Candidate {
-        let mut birth = self.edit;
-        if !shares {
-            return Candidate {
-                birth,
-                source_change: None,
-            };
-        }
-        let own = f64::from(birth.opacity_logit);
-        let part = split(own, 2);
-        let widened = part.log_scale_offset;
-        birth.log_scale = birth.log_scale.map(|s| (f64::from(s) + widened) as f32);
-        birth.opacity_logit = part.opacity_logit as f32;
-        Candidate {
-            birth,
-            source_change: Some([part.opacity_logit - own, widened, widened, widened]),
-        }
-    }
 }
 
 impl Proposals {

@@ -1,21 +1,20 @@
 //! One step of Metropolis–Hastings density control, from statistics to edits.
 
 use rayon::prelude::*;
+use rustc_hash::FxHashSet;
 
 use crate::base::error::Result;
 use crate::base::math::logit;
 use crate::base::rng::{Philox, Stream};
 use crate::config::PAPER_ITERATIONS;
 use crate::config::{Birth, MhConfig, ViewSubset};
-use crate::density::control::{
-    Candidate, DensityControl, Estimator, Expected, NoiseLaw, StepContext,
-};
+use crate::density::control::{DensityControl, Estimator, Expected, NoiseLaw, StepContext};
 use crate::density::draw::{Categorical, RowWeights, birth_position};
 use crate::density::mh::births::Births;
 use crate::density::mh::progress::{lerp, shrinking};
 use crate::density::mh::proposal::{Decision, Proposal, Proposals};
 use crate::density::mh::sparsity::{Lattice, VoxelCounts};
-use crate::density::mh::{accept, importance, pixel};
+use crate::density::mh::{accept, importance, pixel, splitting};
 use crate::density::outcome::{BirthKind, Outcome};
 use crate::density::relocation::Relocation;
 use crate::density::state::{SceneState, gather, numerics};
@@ -178,46 +177,60 @@ impl MetropolisHastings {
 
     /// Draws the proposals of a phase. One that would land at a non-finite position is not proposed.
     fn propose(&self, step: &Step<'_>, phase: &Phase) -> Vec<Proposal> {
-        let [draw, offset, accept] = phase.streams;
+        let [draw, _, accept] = phase.streams;
         let seed = step.context.seed;
-        let c = &self.config;
-        let (max_logit, ln_scale) = match c.birth {
-            Birth::Faint => (logit(c.birth_opacity) as f32, c.birth_scale.ln() as f32),
-            Birth::Copy | Birth::Split => (f32::INFINITY, 0.0),
-        };
         step.sources
             .draw_unique(phase.proposals, seed, draw)
             .into_par_iter()
             .filter_map(|drawn| {
                 let row = *step.relocation.alive_rows.get(drawn)?;
-                let i = row as usize;
-                // Opacity and log-scale as relocation left them.
-                let (log_scale, opacity_logit) = match step.relocation.source(row) {
-                    Some(edit) => (edit.log_scale, edit.opacity_logit),
-                    None => (
-                        gather(&step.scene.log_scales, i)?,
-                        *step.scene.opacity_logits.get(i)?,
-                    ),
-                };
-                let [x, y, z, _] = Philox::normal(seed, offset, u64::from(row));
-                let position = birth_position(step.scene, i, log_scale, phase.spread, [x, y, z])?;
-                let importance = *step.importance.get(i)?;
+                let (edit, source) = self.birth(step, phase, row)?;
+                let importance = *step.importance.get(row as usize)?;
                 Some(Proposal {
-                    edit: Edit {
-                        src: row,
-                        dst: row,
-                        position,
-                        log_scale: log_scale.map(|s| s + ln_scale),
-                        opacity_logit: opacity_logit.min(max_logit),
-                        color: OptionalColor::NONE,
-                    },
+                    edit,
+                    source,
                     importance,
                     change: None,
-                    ln_gain: accept::ln_gain(c.acceptance, importance),
+                    ln_gain: accept::ln_gain(self.config.acceptance, importance),
                     u: Philox::uniform(seed, accept, u64::from(row))[0],
                 })
             })
             .collect()
+    }
+
+    /// The birth that a source would have, and what would become of a source that splits. `None` if a position is not finite.
+    fn birth(&self, step: &Step<'_>, phase: &Phase, row: u32) -> Option<(Edit, Option<Edit>)> {
+        let (c, i, seed) = (&self.config, row as usize, step.context.seed);
+        let [_, offset, _] = phase.streams;
+        // Opacity and log-scale as relocation left them.
+        let (log_scale, opacity_logit) = match step.relocation.source(row) {
+            Some(edit) => (edit.log_scale, edit.opacity_logit),
+            None => (
+                gather(&step.scene.log_scales, i)?,
+                *step.scene.opacity_logits.get(i)?,
+            ),
+        };
+        let (max_logit, ln_scale) = match c.birth {
+            Birth::Split => {
+                let [which, side, ..] = Philox::uniform(seed, offset, u64::from(row));
+                let shape = (log_scale, opacity_logit);
+                let parts =
+                    splitting::split(step.scene, row, shape, c.split_distance, [which, side])?;
+                return Some((parts.birth, Some(parts.source)));
+            }
+            Birth::Faint => (logit(c.birth_opacity) as f32, c.birth_scale.ln() as f32),
+            Birth::Copy => (f32::INFINITY, 0.0),
+        };
+        let [x, y, z, _] = Philox::normal(seed, offset, u64::from(row));
+        let birth = Edit {
+            src: row,
+            dst: row,
+            position: birth_position(step.scene, i, log_scale, phase.spread, [x, y, z])?,
+            log_scale: log_scale.map(|s| s + ln_scale),
+            opacity_logit: opacity_logit.min(max_logit),
+            color: OptionalColor::NONE,
+        };
+        Some((birth, None))
     }
 
     /// Checks settings, progress and the lengths of slices.
@@ -324,6 +337,10 @@ impl MetropolisHastings {
                 sources: Categorical::new(weights),
             };
             [coarse, fine] = self.phases(context).map(|p| self.propose(&step, &p));
+            if c.birth == Birth::Split {
+                let coarse: FxHashSet<u32> = coarse.iter().map(|p| p.edit.src).collect();
+                fine.retain(|p| !coarse.contains(&p.edit.src));
+            }
         }
         let phases = [
             (BirthKind::Pixel, pixels),
@@ -336,15 +353,6 @@ impl MetropolisHastings {
             removed,
             importance,
         })
-    }
-
-    /// The births to be estimated, in the order of the proposals.
-    fn candidates(&self, proposals: &Proposals) -> Vec<Candidate> {
-        let candidates = |(kind, proposals): &(BirthKind, Vec<Proposal>)| -> Vec<Candidate> {
-            let shares = *kind != BirthKind::Pixel && self.config.birth == Birth::Split;
-            proposals.iter().map(|p| p.candidate(shares)).collect()
-        };
-        proposals.phases.iter().flat_map(candidates).collect()
     }
 
     /// True if a step at progress η reads error maps.
@@ -440,7 +448,9 @@ impl DensityControl for MetropolisHastings {
         };
         let mut proposals = self.proposals(context, scene, evidence)?;
         if self.estimate_views() > 0 {
-            let changes = estimate(&self.candidates(&proposals))?;
+            let births = proposals.phases.iter().flat_map(|(_, all)| all);
+            let births: Vec<Edit> = births.map(|p| p.edit).collect();
+            let changes = estimate(&births)?;
             proposals.weigh(&changes)?;
         }
         let (c, eta) = (&self.config, context.progress);
@@ -453,12 +463,6 @@ impl DensityControl for MetropolisHastings {
             let decisions = self.decide(proposals, &counts, eta, target);
             births.take(*kind, &decisions, &mut counts);
         }
-        Ok(births.finish(
-            c.birth,
-            scene,
-            proposals.relocation,
-            proposals.importance,
-            &counts,
-        ))
+        Ok(births.finish(proposals.relocation, proposals.importance, &counts))
     }
 }

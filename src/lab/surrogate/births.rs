@@ -11,7 +11,6 @@ use crate::density::draw::{Categorical, RowWeights, birth_position};
 use crate::density::mh::accept::{ln_acceptance, voxel_prior};
 use crate::density::mh::lerp;
 use crate::density::mh::sparsity::{Lattice, VoxelCounts};
-use crate::density::relocation::split;
 use crate::density::{ErrorStatistics, SceneState};
 use crate::scene::{Gaussians, Plane};
 
@@ -20,15 +19,15 @@ const PATIENCE: u64 = 50;
 /// Random streams of sources and of offsets, one per group of candidates.
 const STREAMS: [u32; 2] = [10, 20];
 
-/// The forms of a birth, by their names in the configuration.
-pub const FORMS: [&str; 3] = ["copy", "split", "faint"];
+/// The forms of a birth that leave its source as it is, by their names in the configuration.
+pub const FORMS: [&str; 2] = ["copy", "faint"];
 
-/// Values that a birth writes to its own row, and to that of its source if they share.
+/// Log-scale and opacity of a birth.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Shape {
-    /// Log-scale of the candidate (and of the source, if that changes).
+    /// Log-scale of the candidate.
     pub log_scale: [f32; 3],
-    /// Opacity logit of the candidate (and of the source, if that changes).
+    /// Opacity logit of the candidate.
     pub opacity_logit: f32,
 }
 
@@ -52,8 +51,6 @@ pub struct Birth {
     pub position: [f32; 3],
     /// Shape of the birth.
     pub shape: Shape,
-    /// True if the source gets that shape, too.
-    pub shared: bool,
 }
 
 /// Law by which the source of a candidate was drawn.
@@ -214,13 +211,6 @@ impl Ground<'_> {
     ) -> Candidate {
         let (i, c) = (source as usize, self.config);
         let own = Shape::of(self.splats, source);
-        let part = split(f64::from(own.opacity_logit), 2);
-        let half = Shape {
-            log_scale: own
-                .log_scale
-                .map(|s| (f64::from(s) + part.log_scale_offset) as f32),
-            opacity_logit: part.opacity_logit as f32,
-        };
         let faint = Shape {
             log_scale: own.log_scale.map(|s| s + c.birth_scale.ln() as f32),
             opacity_logit: own.opacity_logit.min(logit(c.birth_opacity) as f32),
@@ -242,11 +232,10 @@ impl Ground<'_> {
             views: 0,
             gain: [0.0; FORMS.len()],
             estimate: [0.0; FORMS.len()],
-            births: [(own, false), (half, true), (faint, false)].map(|(shape, shared)| Birth {
+            births: [own, faint].map(|shape| Birth {
                 source,
                 position,
                 shape,
-                shared,
             }),
         }
     }

@@ -217,7 +217,7 @@ fn judge<R: Real>(
     progress: &mut dyn FnMut(usize, usize),
 ) -> Result<()> {
     let births: Vec<Birth> = candidates.iter().flat_map(|c| c.births).collect();
-    let estimates = instrument.estimate(base, &births)?;
+    let estimates = instrument.estimate(&births)?;
     for (k, (birth, estimate)) in births.iter().zip(&estimates).enumerate() {
         let (candidate, form) = (&mut candidates[k / FORMS.len()], k % FORMS.len());
         candidate.gain[form] = -instrument.change(base, birth, &estimate.touched)?;

@@ -1,4 +1,4 @@
-//! The device side of the check: a scene over some views, its losses, error statistics and gradients; the true loss changes of births by
+//! The device side of the check: a scene over some views, its losses and error statistics; the true loss changes of births by
 //! rendering again, and their first-order estimates.
 //!
 //! Losses are compared strip by strip: the sums that the loss stage leaves for every strip are subtracted on the host in f64, so
@@ -8,14 +8,14 @@
 use crate::base::error::Result;
 use crate::density::ErrorStatistics;
 use crate::device::{Array, Defines, Device, Kernels, Program, Real};
-use crate::lab::surrogate::births::{Birth, Shape};
+use crate::lab::surrogate::births::Birth;
 use crate::pipeline::backward::GRADIENT_ROWS;
 use crate::pipeline::buffers::{GaussianBuffers, ViewSet};
 use crate::pipeline::forward::RenderOptions;
 use crate::pipeline::pass::{Pipeline, Target};
 use crate::pipeline::stage::loss::{Beside, ImagePair};
 use crate::scene::{Gaussians, Plane};
-use crate::train::estimates::{FaintPass, SHAPE, change, scaled_logit};
+use crate::train::estimates::{FaintPass, change, scaled_logit};
 
 /// Parameters of an instrument.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -40,12 +40,8 @@ pub struct Base {
     errors: [Vec<f32>; 2],
     /// Number of views that see the centre of every Gaussian.
     seen: Vec<u32>,
-    /// Derivatives of the mean loss with respect to opacity logit and the three log-scales, of every Gaussian.
-    pub gradients: [Vec<f64>; 4],
     /// Sums of each strip, by view.
     strips: Vec<Vec<f64>>,
-    /// View by view, true for each Gaussian with a tile intersection.
-    touched: Vec<Vec<bool>>,
 }
 
 impl Base {
@@ -165,27 +161,23 @@ impl<R: Real> Instrument<R> {
         })
     }
 
-    /// Gradients of the rows from `first` (a multiple of 16) on from the render made last, ordinary or faint: opacity logit and
-    /// log-scales.
-    fn gradients(&self, faint: bool, first: usize) -> Result<[Vec<f64>; 4]> {
-        let dimage = self.pipeline.image_gradient();
-        let (backward, forward) = match faint {
-            true => (&self.faint.backward, &self.faint.forward),
-            false => (&self.pipeline.backward, &self.pipeline.forward),
-        };
-        let rows = [first, self.degree as usize];
-        backward.plane_gradients(forward, &self.scene, dimage, rows, SHAPE)
+    /// Derivatives with respect to the opacity logits of the rows from `first` (a multiple of 16) on, from the render made last with the faint cut.
+    fn slopes(&self, first: usize) -> Result<Vec<f64>> {
+        let (backward, forward) = (&self.faint.backward, &self.faint.forward);
+        let (dimage, rows) = (
+            self.pipeline.image_gradient(),
+            [first, self.degree as usize],
+        );
+        let planes = [Plane::OPACITY];
+        let [slopes] = backward.plane_gradients(forward, &self.scene, dimage, rows, planes)?;
+        Ok(slopes)
     }
 
-    /// Losses, sums and gradients of the scene as it is.
+    /// Losses and sums of the scene as it is.
     pub fn base(&mut self) -> Result<Base> {
         let n = self.splats.len();
         let sums = Array::zeros(&self.device, "sums", 3 * self.scene.stride)?;
-        let mut base = Base {
-            gradients: std::array::from_fn(|_| vec![0.0; n]),
-            ..Base::default()
-        };
-        let k = self.views.len() as f64;
+        let mut base = Base::default();
         for view in 0..self.views.len() {
             self.render(false, view, n)?;
             let strips = self.strips(view)?;
@@ -193,17 +185,11 @@ impl<R: Real> Instrument<R> {
             let loss = self.setting.lambda_ssim + self.weigh(view, sum(0), sum(1));
             base.losses.push(loss);
             base.strips.push(strips);
-            base.touched.push(self.pipeline.forward.intersected(0)?);
             self.with_pair(view, |pair| {
                 let (stage, first) = (&self.importance, view == 0);
                 self.pipeline.errors(pair)?;
                 self.pipeline.add_errors(stage, &self.scene, first, &sums)
             })?;
-            self.image_gradient(view)?;
-            let gradients = self.gradients(false, 0)?;
-            for (sums, more) in base.gradients.iter_mut().zip(gradients) {
-                sums.iter_mut().zip(more).for_each(|(s, g)| *s += g / k);
-            }
         }
         let row = |r: usize| sums.read(r * self.scene.stride, n);
         let narrow = |v: Vec<R>| v.into_iter().map(|v| v.into() as f32).collect();
@@ -230,25 +216,10 @@ impl<R: Real> Instrument<R> {
         Ok(())
     }
 
-    /// Gives the source of a birth that shares this shape.
-    fn reshape(&self, birth: &Birth, shape: Shape) -> Result<()> {
-        if !birth.shared {
-            return Ok(());
-        }
-        let row = birth.source as usize;
-        let position = self.splats.gather(Plane::POSITION, row);
-        let source = Birth {
-            position,
-            shape,
-            ..*birth
-        };
-        self.insert(row, &[source], 1.0)
-    }
-
     /// First-order estimates of births (method: a birth of opacity → 0 changes nothing, but has a derivative). All are
     /// in the scene at once, ε as opaque as they would be, and one backward pass per view tells the derivatives; dL/dC is that
-    /// of the ordinary render. A source that shares adds its own gradient times its change of opacity logit and log-scale.
-    pub fn estimate(&mut self, base: &Base, births: &[Birth]) -> Result<Vec<Estimate>> {
+    /// of the ordinary render.
+    pub fn estimate(&mut self, births: &[Birth]) -> Result<Vec<Estimate>> {
         let (n, epsilon) = (self.splats.len(), self.setting.epsilon);
         self.insert(n, births, epsilon)?;
         let mut estimates = vec![Estimate::default(); births.len()];
@@ -257,7 +228,7 @@ impl<R: Real> Instrument<R> {
             self.render(false, view, n)?;
             self.image_gradient(view)?;
             self.render(true, view, count)?;
-            let [slopes, ..] = self.gradients(true, first)?;
+            let slopes = self.slopes(first)?;
             let touched = self.faint.forward.intersected(n)?;
             for (k, (e, b)) in estimates.iter_mut().zip(births).enumerate() {
                 let logit = f64::from(b.shape.opacity_logit);
@@ -266,31 +237,17 @@ impl<R: Real> Instrument<R> {
                 e.touched.push(touched[k]);
             }
         }
-        for (e, b) in estimates.iter_mut().zip(births).filter(|(_, b)| b.shared) {
-            e.change += self.source_change(base, b);
-        }
         Ok(estimates)
     }
 
-    fn source_change(&self, base: &Base, b: &Birth) -> f64 {
-        let (own, i) = (Shape::of(&self.splats, b.source), b.source as usize);
-        let change = |new: f32, old: f32| f64::from(new) - f64::from(old);
-        let scales = (0..3)
-            .map(|k| change(b.shape.log_scale[k], own.log_scale[k]) * base.gradients[1 + k][i]);
-        change(b.shape.opacity_logit, own.opacity_logit) * base.gradients[0][i]
-            + scales.sum::<f64>()
-    }
-
-    /// The true change of the mean loss by one birth; views that neither it nor a source that shares touches are left out,
+    /// The true change of the mean loss by one birth; views that it does not touch are left out,
     /// because nothing changes there.
     pub fn change(&mut self, base: &Base, birth: &Birth, touched: &[bool]) -> Result<f64> {
         let n = self.splats.len();
         self.insert(n, &[*birth], 1.0)?;
-        self.reshape(birth, birth.shape)?;
         let mut sum = 0.0;
         for (view, seen) in touched.iter().enumerate() {
-            let changes = birth.shared && base.touched[view][birth.source as usize];
-            if !(*seen || changes) {
+            if !*seen {
                 continue;
             }
             self.render(false, view, n + 1)?;
@@ -302,7 +259,6 @@ impl<R: Real> Instrument<R> {
             });
             sum += self.weigh(view, l1, ssim);
         }
-        self.reshape(birth, Shape::of(&self.splats, birth.source))?;
         Ok(sum / self.views.len() as f64)
     }
 }
