@@ -89,7 +89,6 @@ fn a_resumed_run_over_changing_backgrounds_ends_with_the_same_bits() {
     let data = holed(100, Alpha::Transparency);
     let mut config = config(Background::Auto);
     config.mh.surrogate = mhsplat::config::Surrogate::Probe;
-    config.mh.birth = mhsplat::config::Birth::Faint;
     let (done, whole) = trained(&data, &config, 90);
     assert!(done.stats().accepted > 0 && done.stats().pixel[0] > 0);
     let (mut half, _) = trained(&data, &config, 33);

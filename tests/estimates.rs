@@ -4,7 +4,7 @@ use crate::determinism::{drive, room, trained};
 use mhsplat::Plan;
 use mhsplat::TrainConfig;
 use mhsplat::base::constants::ALPHA_MIN;
-use mhsplat::config::{Birth as Form, Surrogate};
+use mhsplat::config::Surrogate;
 use mhsplat::density::Edit;
 use mhsplat::device::Device;
 use mhsplat::lab::surrogate::{Birth, Instrument, Setting, Shape};
@@ -24,7 +24,6 @@ fn config() -> TrainConfig {
         ..TrainConfig::default()
     };
     config.mh.surrogate = Surrogate::Probe;
-    config.mh.birth = Form::Faint;
     // While a band is on trial other views are taken in the place of those set aside.
     config
 }

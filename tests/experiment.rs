@@ -342,7 +342,7 @@ fn options_of_a_setting_win_over_the_scenes_and_theirs_over_all() {
         (c.iterations, c.max_size, c.seed, c.mh.interval),
         (7, 240, 5, 50)
     );
-    assert_eq!(c.mh.birth, mhsplat::config::Birth::Copy);
+    assert_eq!(c.mh.birth, Some(mhsplat::config::Birth::Copy));
     let c = e.config(&e.scenes[0], &e.settings[0], 0).unwrap();
     assert_eq!((c.iterations, c.max_size), (1000, 100));
 }

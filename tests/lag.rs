@@ -218,7 +218,6 @@ fn the_default_waits_where_the_processor_that_decides_trains() {
     // Estimates need the device while the step is decided.
     let mut probing = lagging(Sampler::Mh, 3);
     probing.mh.surrogate = Surrogate::Probe;
-    probing.mh.birth = mhsplat::config::Birth::Faint;
     assert_eq!(lag(DeviceKind::Gpu, &probing), 0);
 }
 

@@ -115,7 +115,6 @@ fn ranks_change_no_bit_of_estimates() {
     let mut config = sampled(Sampler::Mh);
     config.max_size = 48;
     config.mh.surrogate = Surrogate::Probe;
-    config.mh.birth = mhsplat::config::Birth::Faint;
     let (mut alone, _) = trained(&data, &config, 60);
     let want = alone.state().unwrap();
     assert!(want.stats.proposed > 0);

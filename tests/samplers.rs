@@ -141,7 +141,7 @@ fn noise_moves_positions_alone_and_only_where_asked_for() {
         sampler: Sampler::Mh,
         mh: MhConfig {
             noise_rate,
-            birth: Birth::Copy,
+            birth: Some(Birth::Copy),
             target_acceptance: [0.0, 0.0],
             dead_opacity: 0.0,
             coarse_proposals: 0,
@@ -429,6 +429,13 @@ fn options_of_the_samplers_are_read_and_checked() {
         ("[mh]\nbirth-opacity = 0.004", "birth-opacity"),
         ("[mh]\nbirth-scale = 0", "birth-scale"),
         ("[mh]\nbirth-scale = 1.1", "birth-scale"),
+        ("[mh]\nsplit-distance = 0.0", "split-distance"),
+        ("[mh]\nsplit-distance = 0.96", "split-distance"),
+        ("[mh]\nsplit-distance = nan", "split-distance"),
+        (
+            "[mh]\nbirth = \"split\"\nsurrogate = \"probe\"",
+            "surrogate",
+        ),
         ("[mh]\nturnover = -0.1", "turnover"),
         ("[mh]\nnoise-rate = -1.0", "noise-rate"),
         ("[mh]\npixel-near = nan", "pixel-near"),

@@ -136,7 +136,7 @@ pub enum SceneFormat {
 
 /// Measure of a birth's effect on the loss in the acceptance ratio ρ. The importance is that of \[MH\] Eq. 18–20; the first-order
 /// estimate is not in \[MH\]: σ(I) of Eq. 20 becomes σ(−ΔL/s), s being the mean |ΔL| over the step's proposals. Sources are drawn
-/// by importance with either.
+/// by importance with either. Births are faint with the estimate unless `mh.birth` says otherwise.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default, ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
@@ -161,20 +161,19 @@ pub enum Acceptance {
     /// ρ = σ(I − ½)·D (the released implementation).
     Centred,
     /// ρ = exp(−λ_v·[ln(2+c) − ln(1+c)]): the ratio of the priors before and after the birth by Eq. 7, neither approximated
-    /// nor weighted. I then decides which sources are drawn, and nothing else.
+    /// nor weighted, of a birth whose source stays in its voxel. I then decides which sources are drawn, and nothing else.
     ExactPrior,
 }
 
 /// Opacity and scale of a birth and of its source.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum Birth {
     /// The source keeps its own and the birth has the same (\[MH\] §4.3: other parameters are copied).
     Copy,
-    /// Birth and source are two parts of what the source was, apart from each other along one of its axes, which keep what it painted, its mean and its
-    /// covariance (Richardson and Green 1997, the split move).
-    #[default]
+    /// Birth and source are two parts of what the source was, apart from each other along one of its axes, that have its mean and covariance together and
+    /// paint as much at right angles to the axis (Richardson and Green 1997, the split move).
     Split,
     /// The source keeps its own; the birth has `birth-scale` times its scale, and the lesser of its opacity and `birth-opacity`.
     Faint,

@@ -21,13 +21,14 @@ pub struct MhConfig {
     /// Number of views that births are estimated in, those that training takes next (only for `surrogate = "probe"`); all if
     /// there are fewer.
     pub probe_views: u32,
-    /// Opacity and scale of a birth, and its source (§4.3).
-    pub birth: Birth,
+    /// Opacity and scale of a birth, and its source (§4.3). `None`: see [`MhConfig::form`].
+    pub birth: Option<Birth>,
     /// Upper bound of the opacity of a faint birth.
     pub birth_opacity: f64,
     /// Scale of a faint birth over that of its source.
     pub birth_scale: f64,
-    /// Distance of the two parts of a split source from its centre, in its standard deviations along the axis of the split.
+    /// Distance of the two parts of a split source from its centre, in its standard deviations along the axis of the split; at most 0.95, for parts of opaque
+    /// sources would paint ever less. Below 0.87 parts of faint sources are fainter than these.
     pub split_distance: f64,
     /// λ_v of the voxel prior (Eq. 7); 0 switches the prior off: every D and every exact ratio is 1.
     pub lambda_voxel: f64,
@@ -67,7 +68,7 @@ pub struct MhConfig {
     pub coarse_proposals: u32,
     /// Fine proposals per step at η = 0 (Eq. 16); 0 leaves the phase out.
     pub fine_proposals: u32,
-    /// Standard deviations of a coarse birth about its source over the source's own, along each of its axes (Eq. 15: 10 to 5): at 1 births are where
+    /// Standard deviations of a coarse birth about its source (one that does not split) over the source's own, along each of its axes (Eq. 15: 10 to 5): at 1 births are where
     /// the source itself is dense. Farther ones are at places that nothing has shown to be on a surface, and training fits them to single photos.
     pub coarse_spread: [f64; 2],
     /// The same of a fine birth (Eq. 16: 2 to 1).
@@ -120,7 +121,7 @@ impl Default for MhConfig {
             acceptance: Acceptance::Eq20,
             surrogate: Surrogate::Importance,
             probe_views: 4,
-            birth: Birth::Split,
+            birth: None,
             birth_opacity: 0.1,
             birth_scale: 0.6,
             split_distance: 0.9,
@@ -165,7 +166,7 @@ impl MhConfig {
     #[must_use]
     pub fn paper() -> Self {
         Self {
-            birth: Birth::Copy,
+            birth: Some(Birth::Copy),
             relocation: true,
             turnover: 0.0,
             target_acceptance: [0.0, 0.0],
@@ -216,11 +217,11 @@ impl MhConfig {
         check(faint(self.birth_opacity), "birth-opacity", opacity)?;
         let good = self.birth_scale > 0.0 && self.birth_scale <= 1.0;
         check(good, "birth-scale", "more than 0 and at most 1 expected")?;
-        let good = self.split_distance > 0.0 && self.split_distance < 1.0;
+        let good = self.split_distance > 0.0 && self.split_distance <= 0.95;
         check(
             good,
             "split-distance",
-            "more than 0 and less than 1 expected",
+            "more than 0 and at most 0.95 expected",
         )?;
         let good = self
             .births_from_iteration
@@ -257,7 +258,7 @@ impl MhConfig {
             let what = "\"probe\" goes with the acceptance \"eq20\" (or \"exact-prior\", where nothing is estimated)";
             check(!other, "surrogate", what)?;
             let what = "\"probe\" judges births that leave their sources as they are: mh.birth \"faint\" or \"copy\" expected";
-            let moves = self.birth == Birth::Split && self.estimate_views() > 0;
+            let moves = self.form() == Birth::Split && self.estimate_views() > 0;
             check(!moves, "surrogate", what)?;
         }
         let what = "0 or more expected";
@@ -288,6 +289,16 @@ impl MhConfig {
             (Surrogate::Importance, _) | (_, Acceptance::ExactPrior) => 0,
             (Surrogate::Probe, _) => self.probe_views as usize,
         }
+    }
+
+    /// Returns the form of births: unless one is chosen they split their sources, or are faint where they are estimated, because an estimate is
+    /// of a birth that leaves its source as it is.
+    #[must_use]
+    pub fn form(&self) -> Birth {
+        self.birth.unwrap_or(match self.estimate_views() {
+            0 => Birth::Split,
+            _ => Birth::Faint,
+        })
     }
 
     /// True if a step at progress η has births.

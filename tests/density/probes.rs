@@ -100,7 +100,10 @@ fn what_a_probe_foretells_decides() {
 fn a_birth_is_tried_in_the_shape_it_would_have() {
     let scene = Scene::random(N, 8);
     let [copied, faint] = [Birth::Copy, Birth::Faint].map(|birth| {
-        let config = MhConfig { birth, ..config() };
+        let config = MhConfig {
+            birth: Some(birth),
+            ..config()
+        };
         probed(&config, &scene, &|n| vec![0.0; n]).0
     });
     assert!(copied.len() == faint.len() && !copied.is_empty());
@@ -121,7 +124,7 @@ fn a_birth_is_tried_in_the_shape_it_would_have() {
 fn split_births_are_not_judged_by_probes() {
     let scene = Scene::random(N, 8);
     let splits = MhConfig {
-        birth: Birth::Split,
+        birth: Some(Birth::Split),
         ..config()
     };
     let error = probed(&splits, &scene, &|_| Vec::new()).1.unwrap_err();
@@ -131,6 +134,18 @@ fn split_births_are_not_judged_by_probes() {
         ..splits
     };
     assert!(probed(&unasked, &scene, &|_| Vec::new()).1.is_ok());
+    // Unless one is chosen, the form goes by it.
+    let chosen = |config: MhConfig| {
+        MhConfig {
+            birth: None,
+            ..config
+        }
+        .form()
+    };
+    assert_eq!(
+        [MhConfig::default(), config(), unasked].map(chosen),
+        [Birth::Split, Birth::Faint, Birth::Split]
+    );
 }
 
 #[test]

@@ -82,11 +82,18 @@ fn painted(part: f64, scale: f64, distance: f64, o: f64) -> f64 {
 
 /// Two parts have together the mean and the covariance of what was split, as relocation left it, and paint as much.
 #[test]
-fn a_split_keeps_what_is_painted_its_mean_and_its_covariance() {
+fn a_split_keeps_mean_covariance_and_what_is_painted() {
+    for distance in [0.5, MhConfig::default().split_distance] {
+        parts_at(distance);
+    }
+}
+
+fn parts_at(distance: f64) {
     let scene = dying(7000);
     let [copied, split] = [Birth::Copy, Birth::Split].map(|birth| {
         let config = MhConfig {
-            birth,
+            birth: Some(birth),
+            split_distance: distance,
             target_acceptance: [0.9, 0.9],
             ..MhConfig::paper()
         };
@@ -95,26 +102,26 @@ fn a_split_keeps_what_is_painted_its_mean_and_its_covariance() {
             .unwrap()
     });
     assert_eq!(breaches(7000, &split), Vec::<String>::new());
-    let left = |outcome: &Outcome, row: u32| outcome.edits.iter().find(|e| e.dst == row).copied();
-    let distance = MhConfig::default().split_distance;
+    let written = |outcome: &Outcome, row: u32| -> Option<Edit> {
+        outcome.edits.iter().find(|e| e.dst == row).copied()
+    };
     let births: Vec<&Edit> = split.edits.iter().filter(|e| e.dst >= 7000).collect();
     let distinct: HashSet<u32> = births.iter().map(|e| e.src).collect();
-    assert!(
-        births.len() > 1000 && distinct.len() == births.len(),
-        "split once each"
-    );
-    let (mut axes, mut sides, mut checked) = ([0; 3], [0; 2], 0);
+    assert!(births.len() > 1000 && distinct.len() == births.len());
+    let (mut axes, mut expected, mut right, mut relocated) = ([0.0; 3], [0.0; 3], 0.0, 0);
+    let (mut painting, mut opaque) = (0, 0);
+    let number = births.len() as f64;
     for birth in births {
         let i = birth.src as usize;
-        let (own_scale, own_logit) = match left(&copied, birth.src) {
+        let before = written(&copied, birth.src);
+        relocated += usize::from(before.is_some());
+        let (own_scale, own_logit) = match before {
             Some(edit) => (edit.log_scale, edit.opacity_logit),
             None => ([0, 1, 2].map(|k| scene.log_scales[k][i]), scene.logits[i]),
         };
-        let source = left(&split, birth.src).unwrap();
-        assert_eq!(
-            (source.log_scale, source.opacity_logit),
-            (birth.log_scale, birth.opacity_logit)
-        );
+        let source = written(&split, birth.src).unwrap();
+        let shape = |e: &Edit| (e.log_scale, e.opacity_logit);
+        assert_eq!(shape(&source), shape(birth));
         let quaternion = scene.rotations.each_ref().map(|p| f64::from(p[i]));
         let turn = rotation(unit_quaternion(quaternion).0);
         let centre = [0, 1, 2].map(|k| f64::from(scene.positions[k][i]));
@@ -126,28 +133,47 @@ fn a_split_keeps_what_is_painted_its_mean_and_its_covariance() {
         // Along the axes of the source.
         let along = [0, 1, 2].map(|axis| (0..3).map(|k| turn[k][axis] * apart[k]).sum::<f64>());
         let variance = |s: f32| (2.0 * f64::from(s)).exp();
+        let all: f64 = own_scale.iter().map(|s| variance(*s)).sum();
         for axis in 0..3 {
             let together = variance(birth.log_scale[axis]) + along[axis] * along[axis];
             let ratio = together / variance(own_scale[axis]);
             assert!((ratio - 1.0).abs() < 1e-3, "{ratio}");
+            expected[axis] += variance(own_scale[axis]) / all;
         }
-        let axis = (0..3)
-            .find(|a| birth.log_scale[*a] != own_scale[*a])
-            .unwrap();
-        axes[axis] += 1;
-        sides[usize::from(along[axis] > 0.0)] += 1;
+        let other = |a: &usize| birth.log_scale[*a] != own_scale[*a];
+        let axis = (0..3).find(other).unwrap();
+        axes[axis] += 1.0;
+        right += f64::from(u8::from(along[axis] > 0.0));
         let o = sigmoid(f64::from(own_logit));
         let part = sigmoid(f64::from(birth.opacity_logit));
-        if part < 0.989 && checked < 5 {
+        assert!(part <= 0.99 + 1e-6);
+        opaque += usize::from(part > 0.98999);
+        // Of opaque ones the two hide much of each other.
+        if part < 0.98999 && o > 0.6 && painting < 4 {
             let scale = (1.0 - distance * distance).sqrt();
             let ratio = painted(part, scale, distance, o);
-            assert!((ratio - 1.0).abs() < 1e-3, "{ratio} of {o}");
-            assert!((painted(0.9 * part, scale, distance, o) - 1.0).abs() > 0.05);
-            checked += 1;
+            assert!((ratio - 1.0).abs() < 1e-4, "{ratio} of {o}");
+            painting += 1;
         }
-        assert!(part <= 0.99 + 1e-6);
     }
-    assert!(checked == 5 && axes.iter().all(|n| *n > 100) && sides.iter().all(|n| *n > 400));
+    assert!(painting == 4 && relocated > 50, "{painting} {relocated}");
+    assert_eq!(opaque > 0, distance > 0.85, "{opaque}");
+    for (found, wanted) in axes
+        .into_iter()
+        .zip(expected)
+        .chain([(right, number / 2.0)])
+    {
+        assert!(
+            (found - wanted).abs() < 4.0 * number.sqrt(),
+            "{found} {wanted}"
+        );
+    }
+    // Axes drawn evenly would be refused.
+    let uneven = expected.map(|n| (n - number / 3.0).abs());
+    assert!(
+        uneven.iter().any(|gap| *gap > 4.0 * number.sqrt()),
+        "{expected:?}"
+    );
 }
 
 #[test]

@@ -21,7 +21,7 @@ pub fn step(scene: &Scene, context: &StepContext<'_>) -> Outcome {
 
 pub fn step_with(birth: Birth, scene: &Scene, context: &StepContext<'_>) -> Outcome {
     let config = MhConfig {
-        birth,
+        birth: Some(birth),
         ..MhConfig::paper()
     };
     MetropolisHastings::new(&config)
@@ -259,8 +259,11 @@ fn crowded_voxels_take_fewer_births() {
 #[test]
 fn proposals_fade_with_progress() {
     let scene = Scene::random(30_000, 8);
-    let first = step(&scene, &context(500, 0.0, 1)).stats;
-    let last = step(&scene, &context(15_000, 1.0, 1)).stats;
+    let stats = |iteration, progress| {
+        let at = context(iteration, progress, 1);
+        step_with(Birth::Copy, &scene, &at).stats
+    };
+    let (first, last) = (stats(500, 0.0), stats(15_000, 1.0));
     assert!(
         first.coarse[0] > 3500 && first.coarse[0] <= 4500,
         "{first:?}"

@@ -398,7 +398,7 @@ fn births_are_spread_as_their_sources_are() {
         ratios.iter().sum::<f64>() / ratios.len() as f64
     };
     let faint = MhConfig {
-        birth: Birth::Faint,
+        birth: Some(Birth::Faint),
         coarse_proposals: 22_500,
         ..MhConfig::default()
     };

@@ -44,11 +44,11 @@ pub fn config(relocation: bool) -> TrainConfig {
         },
         mh: MhConfig {
             relocation,
-            // One form each; births that share change rows that are there.
-            birth: match relocation {
+            // One form each; births that split change rows that are there.
+            birth: Some(match relocation {
                 true => Birth::Faint,
                 false => Birth::Split,
-            },
+            }),
             deaths_until_iteration: 0,
             view_subset: match relocation {
                 true => ViewSubset::Fixed(2),

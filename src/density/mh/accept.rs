@@ -7,7 +7,7 @@
 //! nor that of the way back is in them, and deaths go by opacity alone. With [`exact_ln_prior_ratio`], its inverse for deaths and
 //! the true change of the loss the chain has the posterior of Eq. 7 (`tests/density/chain.rs`); as the form
 //! `exact-prior` of training, which applies it to births alone and decides many at once on the same counts, it is exact in the
-//! prior's factor and no more.
+//! prior's factor and no more, and in that for births whose sources stay where they are.
 //!
 //! The rule is applied in `step.rs` (`decide`), where each phase may solve T for the share of births that it is to accept.
 //!

@@ -12,7 +12,7 @@ use crate::scene::Edit;
 pub(super) struct Births {
     /// Births about their sources.
     edits: Vec<Edit>,
-    /// What split sources become.
+    /// Edits of the sources that split.
     sources: Vec<Edit>,
     /// Births with parameters of their own.
     fresh: Vec<Edit>,
@@ -82,7 +82,8 @@ impl Births {
                 dst,
                 ..proposal.edit
             });
-            self.sources.extend(proposal.source);
+            self.sources.extend(proposal.source_edit);
+            // A source that splits still counts in the voxel where it was.
             counts.add(proposal.edit.position.map(f64::from));
             self.records.push(BirthRecord {
                 dst,

@@ -146,7 +146,7 @@ pub(super) fn propose(
         let importance = pixels.importance(*picture.error.get(picture.at(at))?);
         Some(Proposal {
             edit: birth(config, (context.pictures, picture), at, u, src)?,
-            source: None,
+            source_edit: None,
             importance,
             change: None,
             ln_gain: accept::ln_gain(config.acceptance, importance),

@@ -11,8 +11,8 @@ use crate::scene::Edit;
 pub(super) struct Proposal {
     /// The Gaussian to be written; `dst` is set once it is known which births are accepted.
     pub(super) edit: Edit,
-    /// The part that its source becomes if the two are made of it.
-    pub(super) source: Option<Edit>,
+    /// The edit of its source if that splits.
+    pub(super) source_edit: Option<Edit>,
     /// Importance I of the source or pixel.
     pub(super) importance: f64,
     /// First-order change of the loss; `None` before an estimate.

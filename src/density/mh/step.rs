@@ -36,8 +36,13 @@ const PLACED: f64 = 0.7;
 
 /// Share of a step's births that are dead by the next one: logarithm of its odds in a run of 3000 iterations at η = 0, and what that grows by to
 /// η = 1 and with the logarithm of the run's length. Too large for runs of less than 1000 iterations, whose steps have fewer of them.
-/// Fitted when births were spread 1 to 10 times as far and 15,000 were tried about Gaussians, not 22,500.
+/// Fitted to births that leave their sources as they are, when they were spread 1 to 10 times as far and 15,000 were tried about Gaussians, not 22,500.
 const FADED: [f64; 3] = [0.03, 1.12, 0.62];
+
+/// The same where sources split, and the η and the length that it grows to; fitted at 25 runs of 600, 1500 and 3000 iterations of eight datasets
+/// (docs/results/splits.md).
+const SPLIT_FADED: [f64; 3] = [-2.6, 10.1, 1.55];
+const SPLIT_FADED_UP_TO: [f64; 2] = [0.4, 3000.0];
 
 /// Expected share of accepted births where the temperature is fixed; a guess.
 const UNGUIDED: f64 = 0.5;
@@ -54,7 +59,7 @@ struct Phase {
     proposals: usize,
     /// Standard deviation of the offset, in scales of the source.
     spread: f64,
-    /// Random streams of source, offset and acceptance.
+    /// Random streams of source, offset (or axis and side of a split) and acceptance.
     streams: [u64; 3],
 }
 
@@ -101,7 +106,11 @@ impl MetropolisHastings {
             -DISTINCT * n * (-draws / n).exp_m1()
         };
         let pixels = PLACED * f64::from(c.pixel_proposals) * (1.0 - eta);
-        let proposals = distinct(c.coarse_proposals) + distinct(c.fine_proposals) + pixels;
+        let about = match c.form() {
+            Birth::Split => distinct(c.coarse_proposals + c.fine_proposals),
+            _ => distinct(c.coarse_proposals) + distinct(c.fine_proposals),
+        };
+        let proposals = about + pixels;
         let target = lerp(c.target_acceptance, eta);
         let share = if target > 0.0 { target } else { UNGUIDED };
         share * proposals
@@ -112,9 +121,12 @@ impl MetropolisHastings {
         let span = [self.config.from_iteration, self.config.until_iteration];
         let of_papers = lerp(span.map(f64::from), context.progress);
         let length = PAPER_ITERATIONS * f64::from(context.iteration) / of_papers.max(1.0);
-        let [first, by_progress, by_length] = FADED;
-        let odds = (first + by_progress * context.progress).exp();
-        let odds = odds * (length / 3000.0).powf(by_length);
+        let ([first, by_progress, by_length], up_to) = match self.config.form() {
+            Birth::Split => (SPLIT_FADED, SPLIT_FADED_UP_TO),
+            Birth::Faint | Birth::Copy => (FADED, [1.0, f64::INFINITY]),
+        };
+        let odds = (first + by_progress * context.progress.min(up_to[0])).exp();
+        let odds = odds * (length.min(up_to[1]) / 3000.0).powf(by_length);
         odds / (1.0 + odds)
     }
 
@@ -184,11 +196,11 @@ impl MetropolisHastings {
             .into_par_iter()
             .filter_map(|drawn| {
                 let row = *step.relocation.alive_rows.get(drawn)?;
-                let (edit, source) = self.birth(step, phase, row)?;
+                let (edit, source_edit) = self.birth(step, phase, row)?;
                 let importance = *step.importance.get(row as usize)?;
                 Some(Proposal {
                     edit,
-                    source,
+                    source_edit,
                     importance,
                     change: None,
                     ln_gain: accept::ln_gain(self.config.acceptance, importance),
@@ -210,12 +222,12 @@ impl MetropolisHastings {
                 *step.scene.opacity_logits.get(i)?,
             ),
         };
-        let (max_logit, ln_scale) = match c.birth {
+        let (max_logit, ln_scale) = match c.form() {
             Birth::Split => {
                 let [which, side, ..] = Philox::uniform(seed, offset, u64::from(row));
                 let shape = (log_scale, opacity_logit);
                 let parts =
-                    splitting::split(step.scene, row, shape, c.split_distance, [which, side])?;
+                    splitting::parts(step.scene, row, shape, c.split_distance, [which, side])?;
                 return Some((parts.birth, Some(parts.source)));
             }
             Birth::Faint => (logit(c.birth_opacity) as f32, c.birth_scale.ln() as f32),
@@ -337,7 +349,8 @@ impl MetropolisHastings {
                 sources: Categorical::new(weights),
             };
             [coarse, fine] = self.phases(context).map(|p| self.propose(&step, &p));
-            if c.birth == Birth::Split {
+            if c.form() == Birth::Split {
+                // A source that both phases drew: two decisions, made apart, would each replace it.
                 let coarse: FxHashSet<u32> = coarse.iter().map(|p| p.edit.src).collect();
                 fine.retain(|p| !coarse.contains(&p.edit.src));
             }

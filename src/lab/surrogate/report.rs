@@ -38,7 +38,7 @@ fn headline(r: &Assessment) -> String {
 const NOTE: &str = "The gain −ΔL is the loss before less the loss after one birth, mean of the views, measured by rendering again. \
      ρ_S is Spearman's, τ_b Kendall's rank correlation with it (95 % bootstrap interval over the candidates): 1 orders births \
      perfectly, 0 is a coin, below 0 the order is wrong. “Best tenth” is the mean gain, in millionths, of the tenth of the \
-     candidates that a predictor puts first. “probe” is the first-order estimate of a birth. The acceptance ρ is σ(I)·D in the form of the run at temperature 1, with the voxels as they are, all of one size.";
+     candidates that a predictor puts first. “probe” is the first-order estimate of a birth. The acceptance ρ is σ(I)·D in the form of the run at temperature 1, with the voxels as they are, all of one size. Births that split their sources, the default, are not judged.";
 
 fn interval(e: Option<Interval>) -> String {
     or_dash(e, |e| {

@@ -117,10 +117,18 @@ fn step_of(row: &DensityRow) -> f64 {
 fn acceptance(out: &mut String, density: &[DensityRow]) {
     let rate = |pair: [u64; 2]| (pair[0] > 0).then(|| pair[1] as f64 / pair[0] as f64);
     let phases = [
-        Banded::line("coarse", points(density, step_of, |r| rate(r.stats.coarse))),
-        Banded::line("fine", points(density, step_of, |r| rate(r.stats.fine))),
+        ("coarse", points(density, step_of, |r| rate(r.stats.coarse))),
+        ("fine", points(density, step_of, |r| rate(r.stats.fine))),
+        (
+            "in image space",
+            points(density, step_of, |r| rate(r.stats.pixel)),
+        ),
     ];
-    out.push_str(&band_chart("Acceptance", &ITERATION, &SHARE, &phases));
+    let proposed = phases.into_iter().filter(|(_, rates)| !rates.is_empty());
+    let lines: Vec<Banded> = proposed
+        .map(|(name, rates)| Banded::line(name, rates))
+        .collect();
+    out.push_str(&band_chart("Acceptance", &ITERATION, &SHARE, &lines));
 }
 
 fn voxels(out: &mut String, density: &[DensityRow]) {
