@@ -11,7 +11,7 @@ use mhsplat::config::{MhConfig, RUN_CONTROL, Surrogate, TrainConfig};
 struct Flags {
     #[command(flatten)]
     config: TrainConfig,
-    /// Measure of a birth's effect on the loss, for the mh sampler; births are faint, and do not split their sources, where it is a probe.
+    /// Measure of a birth's effect on the loss, for the mh sampler; unless mh.birth says otherwise, births are faint where a probe estimates them, and do not split their sources.
     #[arg(long, value_enum, default_value_t = MhConfig::default().surrogate)]
     surrogate: Surrogate,
 }

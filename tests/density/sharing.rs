@@ -89,7 +89,8 @@ fn a_split_keeps_mean_covariance_and_what_is_painted() {
 }
 
 fn parts_at(distance: f64) {
-    let scene = dying(7000);
+    let mut scene = dying(7000);
+    scene.log_scales[1].iter_mut().for_each(|s| *s += 0.5);
     let [copied, split] = [Birth::Copy, Birth::Split].map(|birth| {
         let config = MhConfig {
             birth: Some(birth),
