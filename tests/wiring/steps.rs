@@ -57,7 +57,11 @@ pub fn config(relocation: bool) -> TrainConfig {
             from_iteration: 1000,
             births_from_iteration: Some(1000),
             interval: 3,
-            coarse_proposals: 60,
+            // A source splits once: those that are drawn are left out of the fine phase.
+            coarse_proposals: match relocation {
+                true => 60,
+                false => 20,
+            },
             fine_proposals: 100,
             pixel_proposals: 40,
             target_acceptance: [0.4, 0.4],
