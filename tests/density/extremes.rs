@@ -208,8 +208,10 @@ fn steps_on_extreme_scenes() {
             assert!(!twice, "{case}: {e:?}");
         }
         assert!(outcome.gaussians() > 0, "{case}");
-        // Scenes that are not wholly dead have births.
-        assert!(opacity_logit < -10.0 || outcome.stats.accepted > 0);
+        // Scenes that are not wholly dead have births, but where f32 cannot tell the parts of a split apart.
+        let resolved = planes[0].iter().all(|x| x.abs() < 1e30);
+        let bears = opacity_logit > -10.0 && resolved;
+        assert_eq!(outcome.stats.accepted > 0, bears, "{case}");
     };
     let apart = |i: usize| [normal(1, i), normal(2, i), normal(3, i)];
     step("every Gaussian dead", &apart, -20.0);
