@@ -63,6 +63,27 @@ fn voxel_counts_equal_brute_force() {
 }
 
 #[test]
+fn what_leaves_a_voxel_is_counted_no_more() {
+    // The second place is too far for a packed key.
+    for place in [[0.2, 0.2, 0.2], [1e12, 0.2, 0.2]] {
+        let mut counts = VoxelCounts::count([&[0.1], &[0.1], &[5.1]], 1.0);
+        counts.add(place);
+        counts.add(place);
+        counts.remove(place);
+        assert_eq!((counts.occupied(), counts.get(place)), (2, 1));
+        counts.remove(place);
+        counts.remove([f64::NAN; 3]);
+        assert_eq!((counts.occupied(), counts.get(place)), (1, 0));
+        // The place of an emptied voxel is found again while others come.
+        for i in 0..10_000 {
+            counts.add([0.5, f64::from(i) + 0.5, 9.5]);
+        }
+        counts.add(place);
+        assert_eq!((counts.occupied(), counts.get(place)), (10_002, 1));
+    }
+}
+
+#[test]
 fn voxel_counts_grow_and_ignore_what_is_not_finite() {
     let nan = [f32::NAN, 0.1, f32::INFINITY];
     let mut counts = VoxelCounts::count([&nan, &[0.1; 3], &[0.1; 3]], 0.5);

@@ -235,8 +235,12 @@ fn births_of_the_last_density_step_are_noted_and_marked() {
                     .filter(|(_, new)| *new)
                     .map(|(i, _)| i)
                     .collect();
-                assert_eq!(trainer.noted().unwrap().births, new);
-                assert_eq!(new.len() as u64, event.stats.accepted);
+                // Births, and the sources that split for them.
+                let births = &trainer.noted().unwrap().births;
+                assert!(births.iter().all(|row| new.binary_search(row).is_ok()));
+                assert_eq!(births.len() as u64, event.stats.accepted);
+                let split = event.stats.coarse[1] + event.stats.fine[1];
+                assert_eq!(new.len() as u64, event.stats.accepted + split);
                 let image = painted(&mut trainer, &camera, Property::Births).unwrap();
                 assert!(colored(&image) > 0 || new.is_empty());
             }

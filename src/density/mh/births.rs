@@ -6,6 +6,7 @@ use crate::density::mh::proposal::Decision;
 use crate::density::mh::sparsity::VoxelCounts;
 use crate::density::outcome::{BirthKind, BirthRecord, DensityStats, Outcome};
 use crate::density::relocation::Relocation;
+use crate::density::state::{SceneState, gather};
 use crate::scene::Edit;
 
 /// The births of a step, in the order of decision.
@@ -57,6 +58,7 @@ impl Births {
         &mut self,
         kind: BirthKind,
         decisions: &[Decision<'_>],
+        scene: &SceneState<'_>,
         counts: &mut VoxelCounts<'_>,
     ) {
         self.prior_sum += decisions.iter().map(|d| d.prior).sum::<f64>();
@@ -82,8 +84,13 @@ impl Births {
                 dst,
                 ..proposal.edit
             });
-            self.sources.extend(proposal.source_edit);
-            // A source that splits still counts in the voxel where it was.
+            if let Some(part) = proposal.source_edit {
+                if let Some(left) = gather(&scene.positions, part.dst as usize) {
+                    counts.remove(left.map(f64::from));
+                }
+                counts.add(part.position.map(f64::from));
+                self.sources.push(part);
+            }
             counts.add(proposal.edit.position.map(f64::from));
             self.records.push(BirthRecord {
                 dst,

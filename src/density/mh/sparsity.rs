@@ -203,6 +203,28 @@ impl<'a> VoxelCounts<'a> {
         }
     }
 
+    /// Counts one centre less, which is one of those that were counted; a non-finite one was not.
+    pub fn remove(&mut self, position: [f64; 3]) {
+        let place = self.lattice.place(position);
+        match pack(place.0, place.1) {
+            0 => {
+                let Some(key) = Lattice::key(place) else {
+                    return;
+                };
+                if let Some(count) = self.far.get_mut(&key) {
+                    *count = count.saturating_sub(1);
+                    if *count == 0 {
+                        self.far.remove(&key);
+                    }
+                }
+            }
+            key => {
+                let hash = hash(key);
+                self.shards[shard_of(hash)].remove(key, hash);
+            }
+        }
+    }
+
     fn add_far(&mut self, key: Option<Key>) {
         if let Some(key) = key {
             let count = self.far.entry(key).or_insert(0);
@@ -213,7 +235,8 @@ impl<'a> VoxelCounts<'a> {
     /// Number of voxels that hold a centre.
     #[must_use]
     pub fn occupied(&self) -> usize {
-        self.shards.iter().map(|s| s.occupied).sum::<usize>() + self.far.len()
+        let held = |shard: &Shard| shard.taken - shard.emptied;
+        self.shards.iter().map(held).sum::<usize>() + self.far.len()
     }
 }
 
@@ -285,12 +308,15 @@ impl Chunk {
     }
 }
 
-/// Open addressing with linear probing; a key of 0 marks a free slot. Nothing is ever removed.
+/// Open addressing with linear probing; a key of 0 marks a free slot. A key stays when its voxel is emptied.
 #[derive(Debug, Clone)]
 struct Shard {
     keys: Vec<u64>,
     counts: Vec<u32>,
-    occupied: usize,
+    /// Slots with a key.
+    taken: usize,
+    /// Slots with a key and a count of 0.
+    emptied: usize,
 }
 
 impl Shard {
@@ -299,7 +325,8 @@ impl Shard {
         Self {
             keys: vec![0; slots],
             counts: vec![0; slots],
-            occupied: 0,
+            taken: 0,
+            emptied: 0,
         }
     }
 
@@ -329,19 +356,30 @@ impl Shard {
     fn add(&mut self, key: u64, hash: u64) {
         let mut i = self.find(key, hash);
         if self.keys[i] == 0 {
-            if (self.occupied + 1) * 8 > self.keys.len() * 7 {
+            if (self.taken + 1) * 8 > self.keys.len() * 7 {
                 self.grow();
                 i = self.find(key, hash);
             }
-            self.occupied += 1;
+            self.taken += 1;
             self.keys[i] = key;
+        } else if self.counts[i] == 0 {
+            self.emptied -= 1;
         }
         self.counts[i] = self.counts[i].saturating_add(1);
     }
 
+    fn remove(&mut self, key: u64, hash: u64) {
+        let i = self.find(key, hash);
+        if self.counts[i] > 0 {
+            self.counts[i] -= 1;
+            self.emptied += usize::from(self.counts[i] == 0);
+        }
+    }
+
     fn grow(&mut self) {
         let larger = Self {
-            occupied: self.occupied,
+            taken: self.taken,
+            emptied: self.emptied,
             ..Self::with_slots(self.keys.len() * 2)
         };
         let old = std::mem::replace(self, larger);

@@ -475,7 +475,7 @@ impl DensityControl for MetropolisHastings {
         let target = lerp(c.target_acceptance, eta).min(births.room() as f64 / all.max(1) as f64);
         for (kind, proposals) in &proposals.phases {
             let decisions = self.decide(proposals, &counts, eta, target);
-            births.take(*kind, &decisions, &mut counts);
+            births.take(*kind, &decisions, scene, &mut counts);
         }
         Ok(births.finish(proposals.relocation, proposals.importance, &counts))
     }
