@@ -392,6 +392,37 @@ fn rates_settle_at_the_end() {
 }
 
 #[test]
+fn short_runs_take_larger_steps_and_remember_a_share_of_their_length() {
+    let of = |iterations| {
+        let s = schedule(Sampler::Mh, iterations);
+        (s.rates(0), s.beta2(0))
+    };
+    let (paper, beta2) = of(30_000);
+    let config = schedule_config(Sampler::Mh, 30_000).optimizer;
+    assert_eq!((paper.scale, beta2), (config.lr_scale, config.beta2));
+    // 7500 iterations: f = 2; from 1875 on f stays at 4; longer runs than the papers' have their rates.
+    for (iterations, f) in [(7500, 2.0_f64), (1875, 4.0), (300, 4.0), (60_000, 1.0)] {
+        let (rates, memory) = of(iterations);
+        let near = |a: f64, b: f64| assert!((a / b - 1.0).abs() < 1e-9, "{iterations}: {a}, {b}");
+        near(rates.position, f.powf(1.5) * paper.position);
+        near(rates.scale, f.powf(1.5) * paper.scale);
+        near(rates.rotation, f.sqrt() * paper.rotation);
+        near(rates.sh, f * paper.sh);
+        near(rates.opacity, f.sqrt() * paper.opacity);
+        near(rates.sh0, f.sqrt() * paper.sh0);
+        near(1.0 - memory, f * f * (1.0 - beta2));
+    }
+    let mut config = schedule_config(Sampler::Mh, 1500);
+    config.optimizer.lr_scales_with_run = false;
+    let fixed = Schedule::new(&config);
+    assert_eq!((fixed.rates(0).scale, fixed.beta2(0)), (paper.scale, beta2));
+    // A memory of two steps cannot become sixteen times shorter.
+    config.optimizer.lr_scales_with_run = true;
+    config.optimizer.beta2 = 0.5;
+    assert_eq!(Schedule::new(&config).beta2(0), 0.0);
+}
+
+#[test]
 fn noise_follows_the_rate_of_a_long_run() {
     let [long, short] = [30_000, 3000].map(|n| schedule(Sampler::Mcmc, n));
     for tenth in 0..10 {

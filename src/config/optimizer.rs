@@ -33,7 +33,7 @@ impl Default for LossConfig {
 pub struct OptimizerConfig {
     /// Decay of the first moment.
     pub beta1: f64,
-    /// Decay of the second moment.
+    /// Decay of the second moment in a run of 30,000 iterations; shorter ones forget sooner (see `Schedule::beta2`).
     pub beta2: f64,
     /// ε, added to the root of the second moment.
     pub epsilon: f64,
@@ -55,7 +55,7 @@ pub struct OptimizerConfig {
     pub lr_exposure: f64,
     /// Learning rate of the photos' colour transforms at the end (log-linear in between).
     pub lr_exposure_final: f64,
-    /// Larger steps in runs shorter than the papers' 30,000 iterations (see `Schedule::rates`).
+    /// Larger steps and a shorter memory of the second moment in runs shorter than the papers' 30,000 iterations (see `Schedule::rates`, `Schedule::beta2`).
     pub lr_scales_with_run: bool,
     /// Factor on the rates of all but the positions at the end of a run; 1 for none, as in the papers. It is reached
     /// log-linearly from `lr_settle_from` on: steps as large as in the middle of a run leave a picture that flickers from one

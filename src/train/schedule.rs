@@ -164,30 +164,41 @@ impl Schedule {
     /// scene extent is 1.
     ///
     /// Adam moves a parameter by about its rate per iteration, whatever the gradient, so that a short run cannot reach what
-    /// a long one does. With f = √(30,000/n), 1 ≤ f ≤ 4, a run of n iterations therefore takes f^1.5 times the rate for
-    /// positions, which have the longest way to go, f times for the higher SH bands and √f times for the rest (measured on
-    /// one indoor scene at 1,500 and 3,000 iterations). From 30,000 iterations on the rates are the papers'. Towards the end all
-    /// but the position's settle (`lr-settle`). A step for a batch of B views takes √B times the rates: the gradients of B views have
+    /// a long one does. With the [boost](Schedule::boost) f a run therefore takes f^1.5 times the rate for positions and scales, which have the
+    /// longest way to go, f times for the higher SH bands and √f times for the rest (docs/results/learning-rates.md). From 30,000 iterations on the rates are
+    /// the papers'. Towards the end all but the position's settle (`lr-settle`). A step for a batch of B views takes √B times the rates: the gradients of B views have
     /// a mean whose scatter is 1/√B of that of one, and B steps of one view get as far at random as one of √B times the length
     /// (Grendel-GS, Zhao et al. 2024).
     #[must_use]
     pub fn rates(&self, iteration: u32) -> LearningRates {
         let o = &self.config.optimizer;
-        let boost = if o.lr_scales_with_run {
-            (1.0 / self.scale(iteration)).sqrt().clamp(1.0, MAX_BOOST)
-        } else {
-            1.0
-        };
+        let boost = self.boost(iteration);
         let factor = self.settle(iteration) * self.batch_boost();
-        let slow = factor * boost.sqrt();
+        let (slow, far) = (factor * boost.sqrt(), boost.powf(1.5));
         LearningRates {
-            position: boost.powf(1.5) * self.position_rate(iteration),
-            scale: slow * o.lr_scale,
+            position: far * self.position_rate(iteration),
+            scale: factor * far * o.lr_scale,
             rotation: slow * o.lr_rotation,
             opacity: slow * o.lr_opacity,
             sh0: slow * o.lr_sh0,
             sh: factor * boost * o.lr_sh,
         }
+    }
+
+    /// Factor f = √(30,000/n) of a run of n iterations, 1 ≤ f ≤ 4; 1 without `lr-scales-with-run`.
+    fn boost(&self, at: u32) -> f64 {
+        match self.config.optimizer.lr_scales_with_run {
+            true => (1.0 / self.scale(at)).sqrt().clamp(1.0, MAX_BOOST),
+            false => 1.0,
+        }
+    }
+
+    /// Decay of Adam's second moment in a step for one view, as the run is planned at an iteration: 1 − f²·(1 − `beta2`) with the [boost](Schedule::boost) f, so that
+    /// it remembers the same share of a run of 1,875 iterations as of the papers' 30,000, 1/30. Gradients fall as a scene is fitted, and with a longer memory steps are as small as
+    /// the large gradients of long ago make them.
+    #[must_use]
+    pub fn beta2(&self, at: u32) -> f64 {
+        (1.0 - self.boost(at).powi(2) * (1.0 - self.config.optimizer.beta2)).max(0.0)
     }
 
     /// Factor on the rates of the steps of batches.

@@ -168,7 +168,7 @@ impl<'a> Definitions<'a> {
         let settle = o.lr_settle.powf(share);
         match plane {
             _ if plane < Plane::LOG_SCALE => 8.0 * self.position_rate(iteration),
-            _ if plane < Plane::ROTATION => 2.0 * settle * o.lr_scale,
+            _ if plane < Plane::ROTATION => 8.0 * settle * o.lr_scale,
             _ if plane < Plane::OPACITY => 2.0 * settle * o.lr_rotation,
             _ if plane < Plane::SH => 2.0 * settle * o.lr_opacity,
             _ if plane < Plane::SH + 3 => 2.0 * settle * o.lr_sh0,
@@ -216,11 +216,13 @@ impl<'a> Definitions<'a> {
             false => f64::from(views),
         };
         let power = if w.batch_moments { 1.0 } else { views.into() };
+        // Of a run as short as this the memory is a sixteenth of the configured one.
+        let beta2 = 1.0 - 16.0 * (1.0 - o.beta2);
         for p in 0..self.gradients.len() {
             let mean: Vec<f64> = self.gradients[p].iter().map(|g| g / divisor).collect();
             let step = Step {
                 rate: self.boost() * self.rate(p),
-                constants: [o.beta1.powf(power), o.beta2.powf(power), o.epsilon],
+                constants: [o.beta1.powf(power), beta2.powf(power), o.epsilon],
                 t: (self.iteration + 1) / views + w.step,
             };
             let [m, v] = &mut self.moments;

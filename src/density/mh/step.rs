@@ -39,9 +39,9 @@ const PLACED: f64 = 0.7;
 /// Fitted to births that leave their sources as they are, when they were spread 1 to 10 times as far and 15,000 were tried about Gaussians, not 22,500.
 const FADED: [f64; 3] = [0.03, 1.12, 0.62];
 
-/// The same where sources split, and the η and the length that it grows to; fitted at 23 runs of 600, 1500 and 3000 iterations of eight datasets
-/// (docs/results/splits.md).
-const SPLIT_FADED: [f64; 3] = [-1.6, 8.8, 2.25];
+/// The same where sources split, and the η and the length that it grows to; fitted at 14 runs of 600, 1500 and 3000 iterations of eight datasets
+/// (docs/results/learning-rates.md).
+const SPLIT_FADED: [f64; 3] = [-1.9, 3.3, 1.6];
 const SPLIT_FADED_UP_TO: [f64; 2] = [0.4, 2000.0];
 
 /// Expected share of accepted births where the temperature is fixed; a guess.
