@@ -19,8 +19,8 @@ pub struct Optimizer {
     /// Step with the mean gradient of a batch; `None` where every view has a step of its own, which the stages take.
     batched: Option<Program>,
     pub(super) schedule: Schedule,
-    beta1: f64,
-    epsilon: f64,
+    /// β₁, β₂ of runs of 30,000 iterations, ε.
+    constants: [f64; 3],
     /// Views of a batch.
     batch: u32,
     /// Weights of the regularisers on opacity and scale.
@@ -43,17 +43,16 @@ impl Optimizer {
             stages: degrees.map(build).collect::<Result<_>>()?,
             batched: batched.transpose()?,
             schedule: plan.schedule(),
-            beta1: o.beta1,
-            epsilon: o.epsilon,
+            constants: [o.beta1, o.beta2, o.epsilon],
             lambdas: [l.lambda_opacity, l.lambda_scale],
             batch,
         })
     }
 
-    /// β₁, β₂, ε of the steps of single views at an iteration.
+    /// β₁, β₂, ε of steps of single views in runs of 30,000 iterations, and of the colour transforms in all: a photo's comes once in an epoch.
     #[must_use]
-    pub fn constants(&self, iteration: u32) -> [f64; 3] {
-        [self.beta1, self.schedule.beta2(iteration), self.epsilon]
+    pub fn constants(&self) -> [f64; 3] {
+        self.constants
     }
 
     /// Takes the sums of some rows in the view rendered last back to the parameters and updates them, or adds their gradients to those of the
@@ -75,11 +74,13 @@ impl Optimizer {
         let Some(t) = self.schedule.step_of(iteration) else {
             return Ok(());
         };
-        let [beta1, beta2, epsilon] = self.constants(iteration);
+        let [beta1, _, epsilon] = self.constants;
+        let beta2 = self.schedule.beta2(iteration);
         // The moments forget a view as fast as if each had a step of its own.
         let [beta1, beta2] = [beta1, beta2].map(|beta| beta.powf(self.batch.into()));
+        let correction = self.schedule.memory_correction(iteration);
         let step = Step {
-            rate: self.schedule.rates(iteration),
+            rate: self.schedule.rates(iteration).times(correction),
             constants: [beta1, beta2, epsilon],
             t,
         };

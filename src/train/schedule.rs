@@ -7,7 +7,7 @@ use crate::device::PhotoScale;
 use crate::pipeline::stage::adam::LearningRates;
 use crate::train::sizes::Sizes;
 
-/// Largest factor on the learning rates of a short run.
+/// Largest f of [`Schedule::boost`].
 const MAX_BOOST: f64 = 4.0;
 
 /// A run has this many density steps, however short it is, unless they would be closer than [`MIN_INTERVAL`].
@@ -164,7 +164,7 @@ impl Schedule {
     /// scene extent is 1.
     ///
     /// Adam moves a parameter by about its rate per iteration, whatever the gradient, so that a short run cannot reach what
-    /// a long one does. With the [boost](Schedule::boost) f a run therefore takes f^1.5 times the rate for positions and scales, which have the
+    /// a long one does. With f = √(30,000/n), 1 ≤ f ≤ 4, a run of n iterations therefore takes f^1.5 times the rate for positions and scales, which have the
     /// longest way to go, f times for the higher SH bands and √f times for the rest (docs/results/learning-rates.md). From 30,000 iterations on the rates are
     /// the papers'. Towards the end all but the position's settle (`lr-settle`). A step for a batch of B views takes √B times the rates: the gradients of B views have
     /// a mean whose scatter is 1/√B of that of one, and B steps of one view get as far at random as one of √B times the length
@@ -193,12 +193,37 @@ impl Schedule {
         }
     }
 
-    /// Decay of Adam's second moment in a step for one view, as the run is planned at an iteration: 1 − f²·(1 − `beta2`) with the [boost](Schedule::boost) f, so that
-    /// it remembers the same share of a run of 1,875 iterations as of the papers' 30,000, 1/30. Gradients fall as a scene is fitted, and with a longer memory steps are as small as
-    /// the large gradients of long ago make them.
+    /// Decay of Adam's second moment in a step for one view, as the run is planned at an iteration: 1 − f²·(1 − `beta2`) with the f of [`Schedule::rates`], so that
+    /// it remembers the same share, 1/30, of runs of 1,875 to 30,000 iterations. Gradients fall as a scene is fitted, and with a longer memory steps are as small as
+    /// the large gradients of long ago make them. Not less than `beta1`, unless `beta2` is: the first moment of what no view shows would outlast the second, and steps would grow.
     #[must_use]
     pub fn beta2(&self, at: u32) -> f64 {
-        (1.0 - self.boost(at).powi(2) * (1.0 - self.config.optimizer.beta2)).max(0.0)
+        let o = &self.config.optimizer;
+        let short = 1.0 - self.boost(at).powi(2) * (1.0 - o.beta2);
+        short.max(o.beta1.min(o.beta2))
+    }
+
+    /// Factor on the rates of the step after an iteration that makes up for lengths planned before with another [`Schedule::beta2`]: the optimiser corrects the bias of the second
+    /// moment as if the present one had held from the beginning. √((1 − Π β₂ᵢ)/(1 − β₂ᵗ)); 1 for a run of one length.
+    #[must_use]
+    pub fn memory_correction(&self, iteration: u32) -> f64 {
+        let batch = self.config.batch;
+        let end = (iteration + 1) / batch * batch;
+        let changes = self.config.lengths.iter().map(|l| l.from);
+        let starts: Vec<u32> = [0]
+            .into_iter()
+            .chain(changes)
+            .take_while(|from| *from < end)
+            .collect();
+        let now = self.beta2(iteration);
+        if starts.iter().all(|from| self.beta2(*from) == now) {
+            return 1.0;
+        }
+        let ends = starts.iter().skip(1).copied().chain([end]);
+        let spans = starts.iter().zip(ends).filter(|(from, to)| **from < *to);
+        let logs = spans.map(|(from, to)| f64::from(to - from) * self.beta2(*from).ln());
+        let weight = |log: f64| -log.exp_m1();
+        (weight(logs.sum()) / weight(f64::from(end) * now.ln())).sqrt()
     }
 
     /// Factor on the rates of the steps of batches.

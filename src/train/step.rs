@@ -301,7 +301,7 @@ impl Trainer {
     pub(super) fn transform_step(&self, iteration: u32) -> Step {
         Step {
             rate: self.schedule.exposure_rate(iteration),
-            constants: self.optimizer.constants(iteration),
+            constants: self.optimizer.constants(),
             t: iteration,
         }
     }

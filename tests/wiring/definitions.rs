@@ -57,6 +57,8 @@ pub struct Wrong {
     pub kept_moments: bool,
     /// True if the rates of a batch's steps are those of single views.
     pub batch_rates: bool,
+    /// True if the second moment remembers as much as in a long run.
+    pub long_memory: bool,
     /// True if the moments forget by steps and not by views.
     pub batch_moments: bool,
     /// True if the step takes the sum of a batch's gradients and not their mean.
@@ -217,7 +219,8 @@ impl<'a> Definitions<'a> {
         };
         let power = if w.batch_moments { 1.0 } else { views.into() };
         // Of a run as short as this the memory is a sixteenth of the configured one.
-        let beta2 = 1.0 - 16.0 * (1.0 - o.beta2);
+        let sooner = if w.long_memory { 1.0 } else { 16.0 };
+        let beta2 = 1.0 - sooner * (1.0 - o.beta2);
         for p in 0..self.gradients.len() {
             let mean: Vec<f64> = self.gradients[p].iter().map(|g| g / divisor).collect();
             let step = Step {

@@ -234,8 +234,9 @@ fn mistakes_are_found() {
     let data = views();
     let config = config(false);
     let states = states(&data, &config, 1);
-    let cases: [(&str, usize, Mistake); 15] = [
+    let cases: [(&str, usize, Mistake); 16] = [
         ("number of Adam's step", 0, |w| w.step = 1),
+        ("memory of the second moment", 1, |w| w.long_memory = true),
         ("rates", 0, |w| w.rates = 1),
         ("rate of the noise", 0, |w| w.boosted_noise = true),
         ("seed of the noise", 0, |w| w.noise_seed = 1),

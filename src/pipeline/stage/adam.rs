@@ -22,6 +22,21 @@ pub struct LearningRates {
     pub sh: f64,
 }
 
+impl LearningRates {
+    /// Rates that are `factor` times as large.
+    #[must_use]
+    pub fn times(self, factor: f64) -> Self {
+        Self {
+            position: factor * self.position,
+            scale: factor * self.scale,
+            rotation: factor * self.rotation,
+            opacity: factor * self.opacity,
+            sh0: factor * self.sh0,
+            sh: factor * self.sh,
+        }
+    }
+}
+
 /// Constants of one step, of one plane or (with [`LearningRates`]) of all.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Step<T = f64> {
