@@ -286,7 +286,7 @@ fn a_resumed_run_with_exposures_ends_with_the_same_bits() {
     // Before it begins, when that is due next, and after.
     for (choice, iterations, stops) in [
         (ExposureChoice::On, 200, [33, 40, 73]),
-        (ExposureChoice::Auto, 400, [290, 300, 310]),
+        (ExposureChoice::Auto, 1500, [290, 300, 310]),
     ] {
         let config = config(iterations, choice);
         let until = stops[2] + 30;
