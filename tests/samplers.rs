@@ -431,7 +431,12 @@ fn short_runs_take_larger_steps_and_remember_a_share_of_their_length() {
 /// Constant gradients: every step of Adam is one rate, whatever lengths were planned before.
 #[test]
 fn steps_keep_their_size_where_another_length_is_planned() {
-    for (batch, planned) in [(1, [900, 12_000]), (1, [20_000, 700]), (2, [3000, 30_000])] {
+    for (batch, planned) in [
+        (1, [900, 12_000]),
+        (1, [20_000, 700]),
+        (2, [3000, 30_000]),
+        (8, [900, 12_000]),
+    ] {
         let mut config = TrainConfig {
             batch,
             ..TrainConfig::default()

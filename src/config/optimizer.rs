@@ -33,7 +33,7 @@ impl Default for LossConfig {
 pub struct OptimizerConfig {
     /// Decay of the first moment.
     pub beta1: f64,
-    /// Decay of the second moment in a run of 30,000 iterations; shorter ones forget sooner (see `Schedule::beta2`).
+    /// Decay of the second moment in a run of 30,000 iterations, and of the colour transforms in any; with `lr-scales-with-run` shorter ones forget sooner (see `Schedule::beta2`).
     pub beta2: f64,
     /// ε, added to the root of the second moment.
     pub epsilon: f64,

@@ -219,9 +219,16 @@ impl Schedule {
         if starts.iter().all(|from| self.beta2(*from) == now) {
             return 1.0;
         }
-        let ends = starts.iter().skip(1).copied().chain([end]);
-        let spans = starts.iter().zip(ends).filter(|(from, to)| **from < *to);
-        let logs = spans.map(|(from, to)| f64::from(to - from) * self.beta2(*from).ln());
+        // A batch in which a length begins is taken by that.
+        let whole = |at: u32| at / batch * batch;
+        let ends = starts.iter().skip(1).map(|to| whole(*to)).chain([end]);
+        let spans = starts
+            .iter()
+            .zip(ends)
+            .map(|(from, to)| (from, whole(*from)..to));
+        let logs = spans
+            .filter(|(_, span)| !span.is_empty())
+            .map(|(from, span)| span.len() as f64 * self.beta2(*from).ln());
         let weight = |log: f64| -log.exp_m1();
         (weight(logs.sum()) / weight(f64::from(end) * now.ln())).sqrt()
     }

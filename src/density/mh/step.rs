@@ -36,11 +36,11 @@ const PLACED: f64 = 0.7;
 
 /// Share of a step's births that are dead by the next one: logarithm of its odds in a run of 3000 iterations at η = 0, and what that grows by to
 /// η = 1 and with the logarithm of the run's length. Too large for runs of less than 1000 iterations, whose steps have fewer of them.
-/// Fitted to births that leave their sources as they are, when Adam's memory was longer in short runs, they were spread 1 to 10 times as far and 15,000 were tried about Gaussians, not 22,500.
+/// Fitted to births that leave their sources as they are, when they were spread 1 to 10 times as far, 15,000 were tried about Gaussians, not 22,500, and Adam's memory was longer in short runs.
 const FADED: [f64; 3] = [0.03, 1.12, 0.62];
 
-/// The same where sources split, and the η and the length that it grows to; fitted at 14 runs of 600, 1500 and 3000 iterations of eight datasets. At 30,000 it is
-/// 0.7, as was measured with the second moment's memory of so long runs (docs/results/learning-rates.md).
+/// The same where sources split, and the η and the length that it grows to; fitted at 14 runs of 600, 1500 and 3000 iterations of eight datasets. At 30,000 it comes to
+/// 0.7, what 3000 iterations had with the memory of 30,000; not measured (docs/results/learning-rates.md).
 const SPLIT_FADED: [f64; 3] = [-2.4, 3.2, 0.9];
 const SPLIT_FADED_UP_TO: [f64; 2] = [0.4, 30_000.0];
 
