@@ -4,7 +4,7 @@ mod definitions;
 mod statistics;
 mod steps;
 
-use mhsplat::config::Sampler;
+use mhsplat::config::{Length, Sampler};
 use mhsplat::device::Device;
 use mhsplat::evaluate::{Scores, ViewScore};
 use mhsplat::run::{FinalRecord, initial_gaussians};
@@ -65,6 +65,43 @@ fn the_first_step_of_training_is_the_learning_rate() {
         .map(|(a, b)| f64::from((a - b).abs()));
     let largest = moved.fold(0.0, f64::max);
     assert!((largest / rate - 1.0).abs() < 1e-3, "{largest} of {rate}");
+}
+
+/// A run of 30,000 iterations that is planned anew, as one of 1500, after six: the bias of the second moment is that of the decays that there were.
+#[test]
+fn steps_after_another_length_correct_the_bias_that_there_is() {
+    let mut config = config(30_000, 0, 0.0);
+    config.set_length(Length::new(6, 1500));
+    let data = room(64);
+    let plan = Plan::new(&data, &config).unwrap();
+    let start = initial_gaussians(&data, &plan).unwrap();
+    let mut trainer = Trainer::new(&Device::open(None).unwrap(), &data, &plan, &start).unwrap();
+    let states = [9, 10].map(|iteration| {
+        trainer.advance_to(iteration).unwrap();
+        trainer.state().unwrap()
+    });
+    let beta1: f64 = config.optimizer.beta1;
+    let decays = [0.999_f64.powi(6), 0.984_f64.powi(4)];
+    let bias = [beta1.powi(10), decays[0] * decays[1]].map(|left| 1.0 - left);
+    let rate = Schedule::new(&config).rates(9).opacity;
+    let [before, after] = [0, 1].map(|k| &states[k].splats.planes()[Plane::OPACITY]);
+    let rows = &states[1].rows;
+    let [m, v] = [&rows.moment1, &rows.moment2].map(|planes| &planes[Plane::OPACITY]);
+    let steps = (0..start.len()).filter(|i| v[*i] > 1e-12).map(|i| {
+        let [m, v] = [m[i], v[i]].map(f64::from);
+        let wanted = rate * (m / bias[0]) / (v / bias[1]).sqrt();
+        (f64::from(before[i] - after[i]), wanted)
+    });
+    let steps: Vec<_> = steps
+        .filter(|(_, wanted)| wanted.abs() > 0.3 * rate)
+        .collect();
+    assert!(steps.len() > 100);
+    for (step, wanted) in steps {
+        assert!((step / wanted - 1.0).abs() < 1e-3, "{step} of {wanted}");
+    }
+    // As if the present decay had held from the beginning steps were off by a third.
+    let alone = (1.0 - 0.984_f64.powi(10)) / bias[1];
+    assert!(alone.sqrt() > 1.3, "{alone}");
 }
 
 #[test]

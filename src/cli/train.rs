@@ -368,6 +368,9 @@ fn check_tables(given: &serde_json::Value) -> std::result::Result<(), String> {
 }
 
 /// Returns the configuration of a file, and true if that says how long the run is.
+///
+/// # Errors
+/// A file that cannot be read or parsed, and one with a value outside of its domain.
 fn read_config(file: &Path) -> Result<(TrainConfig, bool)> {
     let text = std::fs::read_to_string(file).map_err(|e| Error::io(file, e))?;
     let text = text.trim_start_matches('\u{feff}').to_owned();
@@ -378,19 +381,23 @@ fn read_config(file: &Path) -> Result<(TrainConfig, bool)> {
             "see `mhsplat train --help` for the names",
         )
     };
+    let valid = |config: TrainConfig, long: bool| {
+        let checked = config.validate().map_err(|e| wrong(e.to_string()));
+        checked.map(|()| (config, long))
+    };
     if file.extension().is_some_and(|e| e == "json") {
         let value: serde_json::Value = from_json(&text).map_err(wrong)?;
         let inner = value.get("config").cloned().unwrap_or(value);
         check_tables(&inner).map_err(wrong)?;
         let long = LENGTHS.iter().any(|key| inner.get(key).is_some());
-        return Ok((deserialize(inner).map_err(wrong)?, long));
+        return valid(deserialize(inner).map_err(wrong)?, long);
     }
     let parse = |text| toml::Deserializer::parse(text).map_err(|e| wrong(e.to_string()));
     let table: toml::Table = deserialize(parse(&text)?).map_err(wrong)?;
     let as_json = serde_json::to_value(&table).map_err(|e| wrong(e.to_string()))?;
     check_tables(&as_json).map_err(wrong)?;
     let long = LENGTHS.iter().any(|key| table.contains_key(*key));
-    Ok((deserialize(parse(&text)?).map_err(wrong)?, long))
+    valid(deserialize(parse(&text)?).map_err(wrong)?, long)
 }
 
 #[cfg(test)]

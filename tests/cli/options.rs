@@ -303,6 +303,12 @@ fn refused_values_name_their_option() {
         (&toml, "optimizer = [0.5]", "optimizer: a table expected"),
         (&toml, "lengths = [[10, 100]]", "lengths: tables expected"),
         (&toml, "[optimizer]\nepsilon = inf", "a finite epsilon > 0"),
+        (
+            &json,
+            r#"{ "optimizer": { "beta2": 1.5 } }"#,
+            "beta1 and beta2",
+        ),
+        (&toml, "[mh]\nturnover = -1.0", "mh.turnover"),
     ] {
         fs::write(file, content).unwrap();
         let args = ["train", "nowhere", "-o", "run", "--config", text(file)];
@@ -310,6 +316,7 @@ fn refused_values_name_their_option() {
         let said = stderr(&output);
         assert_eq!(output.status.code(), Some(2), "{content}: {said}");
         assert!(said.contains(expected), "{content}: {said}");
+        assert!(said.contains(text(file)), "{content}: {said}");
     }
     fs::write(&toml, "[mh]\nbirth = \"twin\"").unwrap();
     fs::write(&json, r#"{ "mh": { "birth": "twin" } }"#).unwrap();

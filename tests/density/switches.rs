@@ -29,6 +29,36 @@ fn rate(outcome: &Outcome) -> f64 {
     outcome.stats.accepted as f64 / outcome.stats.proposed as f64
 }
 
+/// With turnover a step of sixty has half of the proposals of one of fifteen; without it has all.
+#[test]
+fn more_steps_propose_fewer_at_each() {
+    let scene = Scene::random(N, 8);
+    let proposed = |turnover: f64, before: Option<f64>| {
+        let config = MhConfig {
+            turnover,
+            fine_proposals: 3000,
+            births_from_iteration: Some(0),
+            ..MhConfig::default()
+        };
+        let context = StepContext {
+            before,
+            ..context(700, 0.5, 1)
+        };
+        at(&config, &scene, &context).stats.fine[0] as f64
+    };
+    let fifteen = proposed(1.6, Some(0.5 - 1.0 / 15.0));
+    let near = |turnover: f64, before: Option<f64>, wanted: f64| {
+        let ratio = proposed(turnover, before) / fifteen;
+        // Draws that repeat are fewer among fewer.
+        assert!((ratio / wanted - 1.0).abs() < 0.05, "{before:?}: {ratio}");
+    };
+    near(1.6, Some(0.5 - 1.0 / 60.0), 0.5);
+    // Nor does a step that is far from the one before, or the first one, have more.
+    near(1.6, Some(0.1), 1.0);
+    near(1.6, None, 1.0);
+    near(0.0, Some(0.5 - 1.0 / 60.0), 1.0);
+}
+
 #[test]
 fn without_the_prior_voxels_do_not_matter() {
     let mut scene = Scene::random(N, 8);

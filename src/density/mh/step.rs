@@ -27,6 +27,9 @@ const NOISE_STEEPNESS: f64 = 100.0;
 /// Largest share of the Gaussians that are not dead which a step removes: runs with few steps would lose most of them.
 const MAX_RETIRED: f64 = 0.15;
 
+/// Number of steps of a run, evenly over η, each of which has the proposals of the configuration.
+const STEPS: f64 = 15.0;
+
 /// Distinct sources of a phase over those of as many uniform draws; fitted at sixteen runs of six datasets, as are the next two, for forecasts
 /// alone (docs/results/budgets.md).
 const DISTINCT: f64 = 0.98;
@@ -39,10 +42,10 @@ const PLACED: f64 = 0.7;
 /// Fitted to births that leave their sources as they are, when they were spread 1 to 10 times as far, 15,000 were tried about Gaussians, not 22,500, and Adam's memory was longer in short runs.
 const FADED: [f64; 3] = [0.03, 1.12, 0.62];
 
-/// The same where sources split, and the η and the length that it grows to; fitted at 14 runs of 600, 1500 and 3000 iterations of eight datasets. At 30,000 it comes to
-/// 0.7, what 3000 iterations had with the memory of 30,000; not measured (docs/results/learning-rates.md).
+/// The same where sources split, and the η and the length that it grows to: Adam's memory is the same share of longer runs. Fitted at 14 runs of 600, 1500 and 3000 iterations of eight
+/// datasets; those of 7000 iterations have as many (docs/results/learning-rates.md).
 const SPLIT_FADED: [f64; 3] = [-2.4, 3.2, 0.9];
-const SPLIT_FADED_UP_TO: [f64; 2] = [0.4, 30_000.0];
+const SPLIT_FADED_UP_TO: [f64; 2] = [0.4, 3000.0];
 
 /// Expected share of accepted births where the temperature is fixed; a guess.
 const UNGUIDED: f64 = 0.5;
@@ -98,14 +101,28 @@ impl MetropolisHastings {
         (-(-c.turnover * span.max(0.0)).exp_m1()).min(MAX_RETIRED)
     }
 
-    /// Number of births that a step at a progress is expected to have among so many Gaussians, without a bound.
-    fn expected_births(&self, eta: f64, n: f64) -> f64 {
-        let c = &self.config;
-        let distinct = |draws: u32| {
-            let draws = f64::from(draws) * (1.0 - eta);
+    /// Proposals of a step for a configured number. Deaths by turnover have a rate over η. With as many proposals at every step the number of Gaussians would grow with that of steps, with a
+    /// rate over η a run of any length would have the same; √(15 Δη) of them make it grow with the square root (docs/results/learning-rates.md).
+    fn draws(&self, count: u32, context: &StepContext<'_>) -> usize {
+        let span = context.before.map(|before| context.progress - before);
+        let share = match span.filter(|_| self.config.turns_over()) {
+            Some(span) => (STEPS * span).clamp(0.0, 1.0).sqrt(),
+            None => 1.0,
+        };
+        shrinking(
+            (f64::from(count) * share).round() as usize,
+            context.progress,
+        )
+    }
+
+    /// Number of births that a step is expected to have among so many Gaussians, without a bound.
+    fn expected_births(&self, context: &StepContext<'_>, n: f64) -> f64 {
+        let (c, eta) = (&self.config, context.progress);
+        let distinct = |count: u32| {
+            let draws = self.draws(count, context) as f64;
             -DISTINCT * n * (-draws / n).exp_m1()
         };
-        let pixels = PLACED * f64::from(c.pixel_proposals) * (1.0 - eta);
+        let pixels = PLACED * self.draws(c.pixel_proposals, context) as f64;
         let about = match c.form() {
             Birth::Split => distinct(c.coarse_proposals.saturating_add(c.fine_proposals)),
             _ => distinct(c.coarse_proposals) + distinct(c.fine_proposals),
@@ -135,7 +152,7 @@ impl MetropolisHastings {
         let eta = context.progress;
         let c = &self.config;
         let phase = |proposals: u32, spread: [f64; 2], streams: [Stream; 3]| Phase {
-            proposals: shrinking(proposals as usize, eta),
+            proposals: self.draws(proposals, context),
             spread: lerp(spread, eta),
             streams: streams.map(|s| s.stream(context.iteration)),
         };
@@ -326,7 +343,7 @@ impl MetropolisHastings {
             let source = relocation.alive_rows.first().copied().filter(|_| room);
             let pixels = match source {
                 Some(row) if !context.pictures.is_empty() => {
-                    let wanted = shrinking(c.pixel_proposals as usize, context.progress);
+                    let wanted = self.draws(c.pixel_proposals, context);
                     pixel::propose(c, context, row, wanted)
                 }
                 _ => Vec::new(),
@@ -398,7 +415,7 @@ impl DensityControl for MetropolisHastings {
             .max_gaussians
             .map_or(f64::INFINITY, |most| most as f64);
         let born = match self.has_births(context) {
-            true => self.expected_births(eta, n).min((most - kept).max(0.0)),
+            true => self.expected_births(context, n).min((most - kept).max(0.0)),
             false => 0.0,
         };
         Some(Expected {
