@@ -428,6 +428,27 @@ fn short_runs_take_larger_steps_and_remember_a_share_of_their_length() {
     }
 }
 
+#[test]
+fn steps_of_density_control_are_as_far_apart_as_it_says() {
+    for iterations in [600, 1500, 7000, 30_000] {
+        let s = Schedule::new(&schedule_config(Sampler::Mh, iterations));
+        let due: Vec<f64> = (0..iterations).filter_map(|i| s.density_due(i)).collect();
+        for step in due.windows(2) {
+            let apart = step[1] - step[0];
+            assert!((apart / s.density_spacing(0) - 1.0).abs() < 1e-9, "{apart}");
+        }
+        assert!(due.len() > 12);
+    }
+    // Another length has its own distance from the iteration on at which it is planned.
+    let mut config = schedule_config(Sampler::Mh, 1500);
+    let short = Schedule::new(&config).density_spacing(0);
+    config.set_length(Length::new(1000, 30_000));
+    let changed = Schedule::new(&config);
+    let long = Schedule::new(&schedule_config(Sampler::Mh, 30_000));
+    assert_eq!(changed.density_spacing(999), short);
+    assert_eq!(changed.density_spacing(1000), long.density_spacing(0));
+}
+
 /// Constant gradients: every step of Adam is one rate, whatever lengths were planned before.
 #[test]
 fn steps_keep_their_size_where_another_length_is_planned() {

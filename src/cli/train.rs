@@ -319,11 +319,26 @@ fn config(args: &TrainArgs, resume: Option<&Path>) -> Result<TrainConfig> {
 }
 
 /// Returns the defaults or those of a file, with the typed flags in their place.
+///
+/// # Errors
+/// A file that cannot be read or parsed, and a value outside of its domain, with the file's name if it is there.
 fn new_config(args: &TrainArgs) -> Result<TrainConfig> {
-    let (mut config, mut long) = match &args.config {
-        Some(file) => read_config(file)?,
-        None => (TrainConfig::default(), false),
+    let Some(file) = &args.config else {
+        return over_file(args, (TrainConfig::default(), false));
     };
+    let read = read_config(file)?;
+    let own = read.0.validate().err().map(|e| e.to_string());
+    let merged = over_file(args, read)?;
+    match merged.validate() {
+        Err(e) if own.as_ref() == Some(&e.to_string()) => {
+            Err(Error::input(file, e.to_string(), "correct it there"))
+        }
+        checked => checked.map(|()| merged),
+    }
+}
+
+/// Returns a configuration with the typed flags in place of its values; with it comes true if it says how long the run is.
+fn over_file(args: &TrainArgs, (mut config, mut long): (TrainConfig, bool)) -> Result<TrainConfig> {
     if args.options.set_length() {
         config.lengths.clear();
         long = true;
@@ -370,7 +385,7 @@ fn check_tables(given: &serde_json::Value) -> std::result::Result<(), String> {
 /// Returns the configuration of a file, and true if that says how long the run is.
 ///
 /// # Errors
-/// A file that cannot be read or parsed, and one with a value outside of its domain.
+/// A file that cannot be read or parsed.
 fn read_config(file: &Path) -> Result<(TrainConfig, bool)> {
     let text = std::fs::read_to_string(file).map_err(|e| Error::io(file, e))?;
     let text = text.trim_start_matches('\u{feff}').to_owned();
@@ -381,23 +396,19 @@ fn read_config(file: &Path) -> Result<(TrainConfig, bool)> {
             "see `mhsplat train --help` for the names",
         )
     };
-    let valid = |config: TrainConfig, long: bool| {
-        let checked = config.validate().map_err(|e| wrong(e.to_string()));
-        checked.map(|()| (config, long))
-    };
     if file.extension().is_some_and(|e| e == "json") {
         let value: serde_json::Value = from_json(&text).map_err(wrong)?;
         let inner = value.get("config").cloned().unwrap_or(value);
         check_tables(&inner).map_err(wrong)?;
         let long = LENGTHS.iter().any(|key| inner.get(key).is_some());
-        return valid(deserialize(inner).map_err(wrong)?, long);
+        return Ok((deserialize(inner).map_err(wrong)?, long));
     }
     let parse = |text| toml::Deserializer::parse(text).map_err(|e| wrong(e.to_string()));
     let table: toml::Table = deserialize(parse(&text)?).map_err(wrong)?;
     let as_json = serde_json::to_value(&table).map_err(|e| wrong(e.to_string()))?;
     check_tables(&as_json).map_err(wrong)?;
     let long = LENGTHS.iter().any(|key| table.contains_key(*key));
-    valid(deserialize(parse(&text)?).map_err(wrong)?, long)
+    Ok((deserialize(parse(&text)?).map_err(wrong)?, long))
 }
 
 #[cfg(test)]

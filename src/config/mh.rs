@@ -64,8 +64,8 @@ pub struct MhConfig {
     pub until_iteration: u32,
     /// Iterations between two density steps; fewer in short runs, see `Schedule::density_interval`.
     pub interval: u32,
-    /// Coarse proposals per step at η = 0 (Eq. 15); 0 leaves the phase out. With `turnover` this and the other numbers of proposals are those of one of 15 steps: of n steps, n > 15, each has
-    /// √(15/n) of them.
+    /// Coarse proposals per step at η = 0 (Eq. 15); 0 leaves the phase out. With `turnover`, and without `relocation`, all numbers of proposals are those of each of 15 steps: where there are n > 15 each has
+    /// √(15/n) times as many.
     pub coarse_proposals: u32,
     /// Fine proposals per step at η = 0 (Eq. 16); 0 leaves the phase out.
     pub fine_proposals: u32,

@@ -38,6 +38,8 @@ pub struct StepContext<'a> {
     pub last: bool,
     /// Progress of the step before; `None` if this is the first.
     pub before: Option<f64>,
+    /// Difference Δη of the progress of one step and the next, as the run is planned now.
+    pub spacing: f64,
     /// Centres of the training cameras, local units.
     pub cameras: &'a [[f32; 3]],
     /// Current renders of as many views as [`DensityControl::pictures`] names.
@@ -45,7 +47,7 @@ pub struct StepContext<'a> {
 }
 
 impl StepContext<'_> {
-    /// A step after so many iterations at progress η, neither the last nor after another, without a bound, resets, cameras or pictures.
+    /// A step after so many iterations at progress η, neither the last nor after another, the only one of its span, without a bound, resets, cameras or pictures.
     #[must_use]
     pub fn at(iteration: u32, progress: f64, seed: u64) -> Self {
         Self {
@@ -57,6 +59,7 @@ impl StepContext<'_> {
             resets_opacity: false,
             last: false,
             before: None,
+            spacing: 1.0,
             cameras: &[],
             pictures: &[],
         }

@@ -345,6 +345,7 @@ impl Control {
                 resets_opacity: self.schedule.resets_opacity(iteration),
                 last: self.schedule.next_density(iteration).is_none(),
                 before: self.schedule.density_before(iteration),
+                spacing: self.schedule.density_spacing(iteration),
                 cameras: &[],
                 pictures: &[],
             },

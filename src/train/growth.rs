@@ -61,6 +61,7 @@ impl Growth {
                 max_gaussians: self.max_gaussians,
                 last: next.is_none(),
                 before,
+                spacing: schedule.density_spacing(at),
                 ..StepContext::at(at, progress, 0)
             };
             set = self.strategy.expected(&context, set)?;

@@ -309,6 +309,13 @@ impl Schedule {
         interval.next_multiple_of(self.config.batch)
     }
 
+    /// Difference Δη of the progress of two density steps, as the run is planned at an iteration.
+    #[must_use]
+    pub fn density_spacing(&self, at: u32) -> f64 {
+        let [from, until] = self.density_span(at);
+        f64::from(self.density_interval(at)) / f64::from(until.saturating_sub(from).max(1))
+    }
+
     /// Iterations that training does between the begin of a density step after `done` iterations and its end: the plan's, but no more
     /// than half of the interval, or a sixth where none was asked for, and whole batches.
     #[must_use]

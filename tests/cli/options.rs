@@ -318,6 +318,17 @@ fn refused_values_name_their_option() {
         assert!(said.contains(expected), "{content}: {said}");
         assert!(said.contains(text(file)), "{content}: {said}");
     }
+    // A flag wins over what the file has, and is what is named where it is wrong.
+    fs::write(&toml, "sh-degree = 9").unwrap();
+    for (degree, expected) in [("1", "nowhere"), ("5", "--sh-degree: 5")] {
+        let args = ["train", "nowhere", "-o", "run", "--sh-degree", degree];
+        let output = mhsplat(&[&args[..], &["--config", text(&toml)]].concat());
+        let said = stderr(&output);
+        assert!(
+            said.contains(expected) && !said.contains(text(&toml)),
+            "{said}"
+        );
+    }
     fs::write(&toml, "[mh]\nbirth = \"twin\"").unwrap();
     fs::write(&json, r#"{ "mh": { "birth": "twin" } }"#).unwrap();
     for file in [&toml, &json] {

@@ -7,7 +7,7 @@ use super::{Scene, on_threads};
 use mhsplat::config::{Acceptance, Birth, MhConfig, ViewSubset};
 use mhsplat::density::mh::MetropolisHastings;
 use mhsplat::density::{
-    BirthKind, DensityControl, Outcome, Statistics, StatisticsKind, StepContext,
+    BirthKind, DensityControl, Expected, Outcome, Statistics, StatisticsKind, StepContext,
 };
 
 const N: usize = 20_000;
@@ -29,11 +29,12 @@ fn rate(outcome: &Outcome) -> f64 {
     outcome.stats.accepted as f64 / outcome.stats.proposed as f64
 }
 
-/// With turnover a step of sixty has half of the proposals of one of fifteen; without it has all.
+/// With turnover a step of sixty has half of the proposals of one of fifteen, whatever step came before; without it a step has all.
 #[test]
 fn more_steps_propose_fewer_at_each() {
     let scene = Scene::random(N, 8);
-    let proposed = |turnover: f64, before: Option<f64>| {
+    // Draws about Gaussians, and births that are expected among so many that hardly any is drawn twice.
+    let proposed = |turnover: f64, spacing: f64, before: Option<f64>| {
         let config = MhConfig {
             turnover,
             fine_proposals: 3000,
@@ -42,21 +43,32 @@ fn more_steps_propose_fewer_at_each() {
         };
         let context = StepContext {
             before,
+            spacing,
             ..context(700, 0.5, 1)
         };
-        at(&config, &scene, &context).stats.fine[0] as f64
+        let set = Expected {
+            gaussians: 1e7,
+            born: 0.0,
+        };
+        let expected = MetropolisHastings::new(&config).expected(&context, set);
+        let drawn = at(&config, &scene, &context).stats.fine[0] as f64;
+        [drawn, expected.unwrap().born]
     };
-    let fifteen = proposed(1.6, Some(0.5 - 1.0 / 15.0));
-    let near = |turnover: f64, before: Option<f64>, wanted: f64| {
-        let ratio = proposed(turnover, before) / fifteen;
-        // Draws that repeat are fewer among fewer.
-        assert!((ratio / wanted - 1.0).abs() < 0.05, "{before:?}: {ratio}");
+    let fifteen = proposed(1.6, 1.0 / 15.0, Some(0.45));
+    let near = |turnover: f64, spacing: f64, before: Option<f64>, wanted: f64| {
+        let found = proposed(turnover, spacing, before);
+        for (found, all) in found.into_iter().zip(fifteen) {
+            // Draws that repeat are fewer among fewer.
+            let ratio = found / all;
+            assert!((ratio / wanted - 1.0).abs() < 0.05, "{spacing}: {ratio}");
+        }
     };
-    near(1.6, Some(0.5 - 1.0 / 60.0), 0.5);
-    // Nor does a step that is far from the one before, or the first one, have more.
-    near(1.6, Some(0.1), 1.0);
-    near(1.6, None, 1.0);
-    near(0.0, Some(0.5 - 1.0 / 60.0), 1.0);
+    near(1.6, 1.0 / 60.0, Some(0.48), 0.5);
+    near(1.6, 1.0 / 60.0, None, 0.5);
+    // Where another length has just been planned the step before may lie ahead.
+    near(1.6, 1.0 / 60.0, Some(0.55), 0.5);
+    near(1.6, 0.3, Some(0.2), 1.0);
+    near(0.0, 1.0 / 60.0, Some(0.48), 1.0);
 }
 
 #[test]

@@ -43,7 +43,7 @@ const PLACED: f64 = 0.7;
 const FADED: [f64; 3] = [0.03, 1.12, 0.62];
 
 /// The same where sources split, and the η and the length that it grows to: Adam's memory is the same share of longer runs. Fitted at 14 runs of 600, 1500 and 3000 iterations of eight
-/// datasets; those of 7000 iterations have as many (docs/results/learning-rates.md).
+/// datasets, and not above what 3000 iterations have; not measured beyond 7000 (docs/results/learning-rates.md).
 const SPLIT_FADED: [f64; 3] = [-2.4, 3.2, 0.9];
 const SPLIT_FADED_UP_TO: [f64; 2] = [0.4, 3000.0];
 
@@ -101,18 +101,15 @@ impl MetropolisHastings {
         (-(-c.turnover * span.max(0.0)).exp_m1()).min(MAX_RETIRED)
     }
 
-    /// Proposals of a step for a configured number. Deaths by turnover have a rate over η. With as many proposals at every step the number of Gaussians would grow with that of steps, with a
-    /// rate over η a run of any length would have the same; √(15 Δη) of them make it grow with the square root (docs/results/learning-rates.md).
+    /// Number of draws of a step for a configured one. Deaths by turnover have a rate over η. With as many draws at every step the number of Gaussians would grow as that of steps does; with a
+    /// rate over η it would be the same in runs of any length. A share √(15 Δη) at each step makes it grow with the square root of their number (docs/results/learning-rates.md).
     fn draws(&self, count: u32, context: &StepContext<'_>) -> usize {
-        let span = context.before.map(|before| context.progress - before);
-        let share = match span.filter(|_| self.config.turns_over()) {
-            Some(span) => (STEPS * span).clamp(0.0, 1.0).sqrt(),
-            None => 1.0,
+        let share = match self.config.turns_over() {
+            true => (STEPS * context.spacing).clamp(0.0, 1.0).sqrt(),
+            false => 1.0,
         };
-        shrinking(
-            (f64::from(count) * share).round() as usize,
-            context.progress,
-        )
+        let each = (f64::from(count) * share).ceil() as usize;
+        shrinking(each, context.progress)
     }
 
     /// Number of births that a step is expected to have among so many Gaussians, without a bound.
