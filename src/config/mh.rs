@@ -65,7 +65,7 @@ pub struct MhConfig {
     /// Iterations between two density steps; fewer in short runs, see `Schedule::density_interval`.
     pub interval: u32,
     /// Coarse proposals per step at η = 0 (Eq. 15); 0 leaves the phase out. With `turnover`, and without `relocation`, all numbers of proposals are those of each of 15 steps: where there are n > 15 each has
-    /// √(15/n) times as many.
+    /// 15/n times as many, a rate over η as that of deaths.
     pub coarse_proposals: u32,
     /// Fine proposals per step at η = 0 (Eq. 16); 0 leaves the phase out.
     pub fine_proposals: u32,

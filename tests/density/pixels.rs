@@ -285,7 +285,7 @@ fn they_are_the_same_on_any_number_of_threads_and_fade() {
     assert!(on_threads(1, run) == on_threads(2, run));
     let late = step(&config, &at(0.9)).stats.pixel;
     assert!(late[0] > 0 && late[0] <= 30, "{late:?}");
-    // Of four times as many steps each has half of them, where Gaussians die by turnover.
+    // Of twice as many steps each has half of them, where Gaussians die by turnover.
     let of = |turnover: f64, spacing: f64| {
         let config = MhConfig {
             turnover,
@@ -295,7 +295,7 @@ fn they_are_the_same_on_any_number_of_threads_and_fade() {
         let at = StepContext { spacing, ..at(0.0) };
         f64::from(step(&config, &at).stats.pixel[0] as u32)
     };
-    let [all, half] = [1.0, 0.25].map(|steps| of(1.6, steps / 15.0));
+    let [all, half] = [1.0, 0.5].map(|steps| of(1.6, steps / 15.0));
     assert!((0.4..0.6).contains(&(half / all)), "{half} of {all}");
     assert_eq!(of(0.0, 1.0 / 60.0), all);
 }

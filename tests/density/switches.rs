@@ -29,7 +29,7 @@ fn rate(outcome: &Outcome) -> f64 {
     outcome.stats.accepted as f64 / outcome.stats.proposed as f64
 }
 
-/// With turnover a step of sixty has half of the proposals of one of fifteen, whatever step came before; without it a step has all.
+/// With turnover a step of sixty has a quarter of the proposals of one of fifteen, whatever step came before; without it a step has all.
 #[test]
 fn more_steps_propose_fewer_at_each() {
     let scene = Scene::random(N, 8);
@@ -63,10 +63,10 @@ fn more_steps_propose_fewer_at_each() {
             assert!((ratio / wanted - 1.0).abs() < 0.05, "{spacing}: {ratio}");
         }
     };
-    near(1.6, 1.0 / 60.0, Some(0.48), 0.5);
-    near(1.6, 1.0 / 60.0, None, 0.5);
+    near(1.6, 1.0 / 60.0, Some(0.48), 0.25);
+    near(1.6, 1.0 / 60.0, None, 0.25);
     // Where another length has just been planned the step before may lie ahead.
-    near(1.6, 1.0 / 60.0, Some(0.55), 0.5);
+    near(1.6, 1.0 / 60.0, Some(0.55), 0.25);
     near(1.6, 0.3, Some(0.2), 1.0);
     near(0.0, 1.0 / 60.0, Some(0.48), 1.0);
 }

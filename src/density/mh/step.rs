@@ -101,11 +101,11 @@ impl MetropolisHastings {
         (-(-c.turnover * span.max(0.0)).exp_m1()).min(MAX_RETIRED)
     }
 
-    /// Number of draws of a step for a configured one. Deaths by turnover have a rate over η. With as many draws at every step the number of Gaussians would grow as that of steps does; with a
-    /// rate over η it would be the same in runs of any length. A share √(15 Δη) at each step makes it grow with the square root of their number (docs/results/learning-rates.md).
+    /// Number of draws of a step for a configured one. Deaths by turnover have a rate over η, and with them births have: with as many draws at every step the number of Gaussians would grow
+    /// as that of steps does, beyond what photos of a few hundred pixels bear (docs/results/learning-rates.md).
     fn draws(&self, count: u32, context: &StepContext<'_>) -> usize {
         let share = match self.config.turns_over() {
-            true => (STEPS * context.spacing).clamp(0.0, 1.0).sqrt(),
+            true => (STEPS * context.spacing).clamp(0.0, 1.0),
             false => 1.0,
         };
         let each = (f64::from(count) * share).ceil() as usize;
