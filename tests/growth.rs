@@ -93,7 +93,40 @@ fn steps_are_expected_when_they_come_and_about_the_size_of_the_scene() {
     assert!(most(&made) > 2.0 * first as f64, "{first} {made:?}");
 }
 
-/// Half of those of a long one at most; measured: 0.04 halfway through 600 iterations, 0.15 of 1500, 0.22 of 3000 and 0.19 of 7000, whose Adam remembers the same share of the run.
+/// Of three times as many steps each makes and expects a third of the draws.
+#[test]
+fn births_are_a_rate_over_the_progress() {
+    // From 8 to 300 iterations, 15 steps and 48.
+    let [few, many] = [19, 6].map(|interval| {
+        let mut config = config(Sampler::Mh);
+        config.mh = MhConfig {
+            interval,
+            births_from_iteration: Some(0),
+            fine_proposals: 300,
+            pixel_proposals: 0,
+            turnover: 1e-6,
+            ..config.mh
+        };
+        let mut trainer = begun(&config);
+        let n = trainer.gaussians();
+        let expected = growth(&trainer).steps(0, set(n), ITERATIONS).unwrap();
+        let event = loop {
+            if let Event::Density(event) = trainer.advance().unwrap() {
+                break event;
+            }
+        };
+        assert_eq!(event.iteration, expected[0].0);
+        let drawn = event.stats.fine[0] as f64 / (1.0 - event.progress);
+        let born = (expected[0].1 - n as f64) / (1.0 - event.progress);
+        [drawn, born]
+    });
+    for (few, many) in few.into_iter().zip(many) {
+        let share = many / few;
+        assert!((0.28..0.38).contains(&share), "{many} {few}");
+    }
+}
+
+/// Half of those of a long one at most; measured: 0.04 halfway through 600 iterations, 0.15 of 1500, 0.22 of 3000 and 0.2 of 7000, whose steps lie as far apart.
 #[test]
 fn fewer_births_fade_between_the_steps_of_a_short_run() {
     let strategy = Plan::new(&room(64), &config(Sampler::Mh))

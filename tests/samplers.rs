@@ -7,6 +7,7 @@ use mhsplat::config::{
     AdcConfig, Background, Birth, Length, McmcConfig, MhConfig, OptimizerConfig, Sampler,
 };
 use mhsplat::device::Device;
+use mhsplat::pipeline::stage::adam::LearningRates;
 use mhsplat::run::initial_gaussians;
 use mhsplat::scene::{Gaussians, Plane};
 use mhsplat::train::Event;
@@ -411,6 +412,18 @@ fn short_runs_take_larger_steps_and_remember_a_share_of_their_length() {
         near(rates.opacity, f.sqrt() * paper.opacity);
         near(rates.sh0, f.sqrt() * paper.sh0);
         near(1.0 - memory, f * f * (1.0 - beta2));
+        // Scales of strategies whose newborns do not split lose by more.
+        for sampler in [Sampler::Mcmc, Sampler::Adc, Sampler::None] {
+            let other = schedule(sampler, iterations).rates(0);
+            near(other.scale, f.sqrt() * paper.scale);
+            assert_eq!(
+                LearningRates {
+                    scale: rates.scale,
+                    ..other
+                },
+                rates
+            );
+        }
     }
     let mut config = schedule_config(Sampler::Mh, 1500);
     config.optimizer.lr_scales_with_run = false;

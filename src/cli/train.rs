@@ -321,23 +321,23 @@ fn config(args: &TrainArgs, resume: Option<&Path>) -> Result<TrainConfig> {
 /// Returns the defaults or those of a file, with the typed flags in their place.
 ///
 /// # Errors
-/// A file that cannot be read or parsed, and a value outside of its domain, with the file's name if it is there.
+/// A file that cannot be read or parsed; with one a value outside of its domain, by the file's name unless a flag has it.
 fn new_config(args: &TrainArgs) -> Result<TrainConfig> {
     let Some(file) = &args.config else {
         return over_file(args, (TrainConfig::default(), false));
     };
-    let read = read_config(file)?;
-    let own = read.0.validate().err().map(|e| e.to_string());
-    let merged = over_file(args, read)?;
-    match merged.validate() {
-        Err(e) if own.as_ref() == Some(&e.to_string()) => {
-            Err(Error::input(file, e.to_string(), "correct it there"))
-        }
-        checked => checked.map(|()| merged),
+    let merged = over_file(args, read_config(file)?)?;
+    let Err(wrong) = merged.validate() else {
+        return Ok(merged);
+    };
+    let flags = over_file(args, (TrainConfig::default(), false))?.validate();
+    match flags {
+        Err(flag) if flag.to_string() == wrong.to_string() => Err(flag),
+        _ => Err(Error::input(file, wrong.to_string(), "correct it there")),
     }
 }
 
-/// Returns a configuration with the typed flags in place of its values; with it comes true if it says how long the run is.
+/// Returns a configuration with the typed flags in place of its values. `long` is true if it says how long the run is: it has no other preset then.
 fn over_file(args: &TrainArgs, (mut config, mut long): (TrainConfig, bool)) -> Result<TrainConfig> {
     if args.options.set_length() {
         config.lengths.clear();

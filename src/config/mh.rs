@@ -67,7 +67,7 @@ pub struct MhConfig {
     /// Coarse proposals per step at η = 0 (Eq. 15); 0 leaves the phase out. With `turnover`, and without `relocation`, all numbers of proposals are those of each of 15 steps: where there are n > 15 each has
     /// 15/n times as many, a rate over η as that of deaths.
     pub coarse_proposals: u32,
-    /// Fine proposals per step at η = 0 (Eq. 16); 0 leaves the phase out.
+    /// Fine proposals per step at η = 0 (Eq. 16), as `coarse_proposals`; 0 leaves the phase out.
     pub fine_proposals: u32,
     /// Standard deviations of a coarse birth about its source (one that does not split) over the source's own, along each of its axes (Eq. 15: 10 to 5): at 1 births are where
     /// the source itself is dense. Farther ones are at places that nothing has shown to be on a surface, and training fits them to single photos.
@@ -79,7 +79,7 @@ pub struct MhConfig {
     /// Distance from the nearest camera centre, local units, beyond which the voxel edge grows: at distance d it is
     /// s·2^⌊log2(d / this)⌋. 0: the edge is s everywhere, as in Eq. 7.
     pub voxel_growth_from: f64,
-    /// Births proposed in image space per step at η = 0, at pixels drawn ∝ e·(τ + s·(1−τ)) with L1 error e, remaining
+    /// Births proposed in image space per step at η = 0, as `coarse_proposals`, at pixels drawn ∝ e·(τ + s·(1−τ)) with L1 error e, remaining
     /// transmittance τ and s = `pixel-surface`, times the share Σ e·(τ + s·(1−τ)) / Σ e of the error that is drawn from: all
     /// of it at s = 1, none at s = 0 in a scene without voids. 0 leaves them out. They reach places too far from every
     /// Gaussian for a copy of one, and are not in the paper.

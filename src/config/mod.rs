@@ -15,7 +15,7 @@ pub use choices::{AntiAliasing, ExposureChoice, Preset, SceneFormat, TrainingSiz
 pub use mh::MhConfig;
 pub use optimizer::{LossConfig, OptimizerConfig};
 pub use samplers::{AdcConfig, DensityTimes, McmcConfig, Sampler};
-pub(crate) use train::PAPER_ITERATIONS;
+pub(crate) use train::{DENSITY_STEPS, PAPER_ITERATIONS};
 pub use train::{Length, RUN_CONTROL, TrainConfig};
 pub use values::{Background, Init, deserialize, from_json, parse_bytes, parse_duration};
 pub use work::WorkConfig;

@@ -47,7 +47,7 @@ pub struct OptimizerConfig {
     pub lr_sh: f64,
     /// Learning rate of the opacity logit, for every sampler (\[3DGS\] as published, \[MCMC\]; \[MH\] and later versions of \[3DGS\]: 0.025).
     pub lr_opacity: f64,
-    /// Learning rate of the log-scale.
+    /// Learning rate of the log-scale; short runs with mh take a larger multiple of it than others, see `Schedule::rates`.
     pub lr_scale: f64,
     /// Learning rate of the quaternion.
     pub lr_rotation: f64,

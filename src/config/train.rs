@@ -14,6 +14,9 @@ use crate::config::work::WorkConfig;
 /// Iterations that the papers' schedules are written for.
 pub(crate) const PAPER_ITERATIONS: f64 = 30_000.0;
 
+/// Density steps that a run has, however short it is, unless they would lie too close; numbers of proposals are those of each of so many.
+pub(crate) const DENSITY_STEPS: u32 = 15;
+
 /// Heading of the options in `--help` that a resumed run may change; the others are those of its checkpoint.
 pub const RUN_CONTROL: &str = "Run control (may change with --resume)";
 

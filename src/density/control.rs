@@ -47,7 +47,7 @@ pub struct StepContext<'a> {
 }
 
 impl StepContext<'_> {
-    /// A step after so many iterations at progress η, neither the last nor after another, the only one of its span, without a bound, resets, cameras or pictures.
+    /// A step after so many iterations at progress η, neither the last nor after another, at a spacing of 1, without a bound, resets, cameras or pictures.
     #[must_use]
     pub fn at(iteration: u32, progress: f64, seed: u64) -> Self {
         Self {

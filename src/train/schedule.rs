@@ -1,17 +1,14 @@
 //! Schedules of a run: pure functions of the configuration and the iteration. Learning rates decay here.
 
 use crate::base::rng::{Philox, Stream};
-use crate::config::PAPER_ITERATIONS;
 use crate::config::{Background, ExposureChoice, Length, TrainConfig, TrainingSize};
+use crate::config::{DENSITY_STEPS, PAPER_ITERATIONS, Sampler};
 use crate::device::PhotoScale;
 use crate::pipeline::stage::adam::LearningRates;
 use crate::train::sizes::Sizes;
 
 /// Largest f of [`Schedule::boost`].
 const MAX_BOOST: f64 = 4.0;
-
-/// A run has this many density steps, however short it is, unless they would be closer than [`MIN_INTERVAL`].
-const MIN_DENSITY_STEPS: u32 = 15;
 
 /// Iterations that new Gaussians are given before the next step judges them.
 const MIN_INTERVAL: u32 = 25;
@@ -164,8 +161,8 @@ impl Schedule {
     /// scene extent is 1.
     ///
     /// Adam moves a parameter by about its rate per iteration, whatever the gradient, so that a short run cannot reach what
-    /// a long one does. With f = √(30,000/n), 1 ≤ f ≤ 4, a run of n iterations therefore takes f^1.5 times the rate for positions and scales, which have the
-    /// longest way to go, f times for the higher SH bands and √f times for the rest (docs/results/learning-rates.md). From 30,000 iterations on the rates are
+    /// a long one does. With f = √(30,000/n), 1 ≤ f ≤ 4, a run of n iterations therefore takes f^1.5 times the rate for positions and, with mh, scales, which have the
+    /// longest way to go, f times for the higher SH bands and √f times for the rest, scales with other strategies among it (docs/results/learning-rates.md). From 30,000 iterations on the rates are
     /// the papers'. Towards the end all but the position's settle (`lr-settle`). A step for a batch of B views takes √B times the rates: the gradients of B views have
     /// a mean whose scatter is 1/√B of that of one, and B steps of one view get as far at random as one of √B times the length
     /// (Grendel-GS, Zhao et al. 2024).
@@ -175,9 +172,14 @@ impl Schedule {
         let boost = self.boost(iteration);
         let factor = self.settle(iteration) * self.batch_boost();
         let (slow, far) = (factor * boost.sqrt(), boost.powf(1.5));
+        // Without newborns that shrink to their places sets lose by it.
+        let scale = match self.config.sampler {
+            Sampler::Mh => factor * far,
+            Sampler::Mcmc | Sampler::Adc | Sampler::None => slow,
+        };
         LearningRates {
             position: far * self.position_rate(iteration),
-            scale: factor * far * o.lr_scale,
+            scale: scale * o.lr_scale,
             rotation: slow * o.lr_rotation,
             opacity: slow * o.lr_opacity,
             sh0: slow * o.lr_sh0,
@@ -303,7 +305,7 @@ impl Schedule {
     #[must_use]
     pub fn density_interval(&self, at: u32) -> u32 {
         let [from, until] = self.density_span(at);
-        let least = until.saturating_sub(from) / MIN_DENSITY_STEPS;
+        let least = until.saturating_sub(from) / DENSITY_STEPS;
         let asked = self.config.density_times().map_or(1, |t| t.interval);
         let interval = asked.min(least.max(MIN_INTERVAL));
         interval.next_multiple_of(self.config.batch)

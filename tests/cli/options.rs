@@ -320,7 +320,11 @@ fn refused_values_name_their_option() {
     }
     // A flag wins over what the file has, and is what is named where it is wrong.
     fs::write(&toml, "sh-degree = 9").unwrap();
-    for (degree, expected) in [("1", "nowhere"), ("5", "--sh-degree: 5")] {
+    for (degree, expected) in [
+        ("1", "nowhere"),
+        ("5", "--sh-degree: 5"),
+        ("9", "--sh-degree: 9"),
+    ] {
         let args = ["train", "nowhere", "-o", "run", "--sh-degree", degree];
         let output = mhsplat(&[&args[..], &["--config", text(&toml)]].concat());
         let said = stderr(&output);
@@ -329,6 +333,22 @@ fn refused_values_name_their_option() {
             "{said}"
         );
     }
+    // Nor does a value that a flag replaces hide the next one.
+    fs::write(&toml, "sh-degree = 9\n[mh]\nturnover = -1.0").unwrap();
+    let args = [
+        "train",
+        "nowhere",
+        "-o",
+        "run",
+        "--sh-degree",
+        "1",
+        "--config",
+    ];
+    let said = stderr(&mhsplat(&[&args[..], &[text(&toml)]].concat()));
+    assert!(
+        said.contains("mh.turnover") && said.contains(text(&toml)),
+        "{said}"
+    );
     fs::write(&toml, "[mh]\nbirth = \"twin\"").unwrap();
     fs::write(&json, r#"{ "mh": { "birth": "twin" } }"#).unwrap();
     for file in [&toml, &json] {

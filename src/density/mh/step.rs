@@ -6,8 +6,7 @@ use rustc_hash::FxHashSet;
 use crate::base::error::Result;
 use crate::base::math::logit;
 use crate::base::rng::{Philox, Stream};
-use crate::config::PAPER_ITERATIONS;
-use crate::config::{Birth, MhConfig, ViewSubset};
+use crate::config::{Birth, DENSITY_STEPS, MhConfig, PAPER_ITERATIONS, ViewSubset};
 use crate::density::control::{DensityControl, Estimator, Expected, NoiseLaw, StepContext};
 use crate::density::draw::{Categorical, RowWeights, birth_position};
 use crate::density::mh::births::Births;
@@ -27,9 +26,6 @@ const NOISE_STEEPNESS: f64 = 100.0;
 /// Largest share of the Gaussians that are not dead which a step removes: runs with few steps would lose most of them.
 const MAX_RETIRED: f64 = 0.15;
 
-/// Number of steps of a run, evenly over η, each of which has the proposals of the configuration.
-const STEPS: f64 = 15.0;
-
 /// Distinct sources of a phase over those of as many uniform draws; fitted at sixteen runs of six datasets, as are the next two, for forecasts
 /// alone (docs/results/budgets.md).
 const DISTINCT: f64 = 0.98;
@@ -42,8 +38,8 @@ const PLACED: f64 = 0.7;
 /// Fitted to births that leave their sources as they are, when they were spread 1 to 10 times as far, 15,000 were tried about Gaussians, not 22,500, and Adam's memory was longer in short runs.
 const FADED: [f64; 3] = [0.03, 1.12, 0.62];
 
-/// The same where sources split, and the η and the length that it grows to: Adam's memory is the same share of longer runs. Fitted at 14 runs of 600, 1500 and 3000 iterations of eight
-/// datasets, and not above what 3000 iterations have; not measured beyond 7000 (docs/results/learning-rates.md).
+/// The same where sources split, and the η and the length that it grows to: the iterations between two steps grow no further. Fitted at 14 runs of 600, 1500 and 3000 iterations of eight
+/// datasets; not measured beyond 7000 (docs/results/learning-rates.md).
 const SPLIT_FADED: [f64; 3] = [-2.4, 3.2, 0.9];
 const SPLIT_FADED_UP_TO: [f64; 2] = [0.4, 3000.0];
 
@@ -101,13 +97,14 @@ impl MetropolisHastings {
         (-(-c.turnover * span.max(0.0)).exp_m1()).min(MAX_RETIRED)
     }
 
-    /// Number of draws of a step for a configured one. Deaths by turnover have a rate over η, and with them births have: with as many draws at every step the number of Gaussians would grow
-    /// as that of steps does, beyond what photos of a few hundred pixels bear (docs/results/learning-rates.md).
+    /// Number of draws that a step makes for a configured number. Deaths by turnover have a rate over η, and with them births have: with as many draws at every step the number of
+    /// Gaussians would grow as that of steps does, beyond what most sets gain by (docs/results/learning-rates.md).
     fn draws(&self, count: u32, context: &StepContext<'_>) -> usize {
-        let share = match self.config.turns_over() {
-            true => (STEPS * context.spacing).clamp(0.0, 1.0),
+        let steps = match self.config.turns_over() {
+            true => (1.0 / context.spacing + 1e-9).floor(),
             false => 1.0,
         };
+        let share = (f64::from(DENSITY_STEPS) / steps).min(1.0);
         let each = (f64::from(count) * share).ceil() as usize;
         shrinking(each, context.progress)
     }
@@ -272,6 +269,12 @@ impl MetropolisHastings {
             return Err(numerics(format!(
                 "progress is {}; 0 to 1 expected",
                 context.progress
+            )));
+        }
+        if !(context.spacing > 0.0 && context.spacing.is_finite()) {
+            return Err(numerics(format!(
+                "spacing is {}; more than 0 expected",
+                context.spacing
             )));
         }
         scene.check_lengths([errors.ssim.len(), errors.l1.len(), errors.views.len()])
