@@ -93,7 +93,7 @@ fn steps_are_expected_when_they_come_and_about_the_size_of_the_scene() {
     assert!(most(&made) > 2.0 * first as f64, "{first} {made:?}");
 }
 
-/// Of three times as many steps each makes and expects a third of the draws.
+/// Each of three times as many steps makes, and is expected to make, a third of the draws.
 #[test]
 fn births_are_a_rate_over_the_progress() {
     // From 8 to 300 iterations, 15 steps and 48.

@@ -360,11 +360,16 @@ fn no_step_comes_after_the_last_iteration() {
 }
 
 #[test]
-fn rates_are_the_same_for_every_sampler() {
-    let rates = |sampler| schedule(sampler, 3000).rates(100);
-    let mh = rates(Sampler::Mh);
-    for other in [Sampler::Mcmc, Sampler::Adc, Sampler::None] {
-        assert_eq!(rates(other), mh);
+fn rates_are_the_same_for_every_sampler_but_those_of_scales_in_short_runs() {
+    for iterations in [3000, 30_000] {
+        let rates = |sampler| schedule(sampler, iterations).rates(100);
+        let mh = rates(Sampler::Mh);
+        for other in [Sampler::Mcmc, Sampler::Adc, Sampler::None] {
+            let other = rates(other);
+            assert_eq!(other.scale == mh.scale, iterations == 30_000);
+            let scale = mh.scale;
+            assert_eq!(LearningRates { scale, ..other }, mh);
+        }
     }
 }
 
@@ -412,7 +417,7 @@ fn short_runs_take_larger_steps_and_remember_a_share_of_their_length() {
         near(rates.opacity, f.sqrt() * paper.opacity);
         near(rates.sh0, f.sqrt() * paper.sh0);
         near(1.0 - memory, f * f * (1.0 - beta2));
-        // Scales of strategies whose newborns do not split lose by more.
+        // On plush mcmc and a fixed set lose by more.
         for sampler in [Sampler::Mcmc, Sampler::Adc, Sampler::None] {
             let other = schedule(sampler, iterations).rates(0);
             near(other.scale, f.sqrt() * paper.scale);

@@ -321,19 +321,22 @@ fn config(args: &TrainArgs, resume: Option<&Path>) -> Result<TrainConfig> {
 /// Returns the defaults or those of a file, with the typed flags in their place.
 ///
 /// # Errors
-/// A file that cannot be read or parsed; with one a value outside of its domain, by the file's name unless a flag has it.
+/// A file that cannot be read or parsed; a value out of its domain, with the name of the file that has it.
 fn new_config(args: &TrainArgs) -> Result<TrainConfig> {
     let Some(file) = &args.config else {
         return over_file(args, (TrainConfig::default(), false));
     };
-    let merged = over_file(args, read_config(file)?)?;
+    let read = read_config(file)?;
+    let is_wrong = read.0.validate().is_err();
+    let merged = over_file(args, read)?;
     let Err(wrong) = merged.validate() else {
         return Ok(merged);
     };
     let flags = over_file(args, (TrainConfig::default(), false))?.validate();
-    match flags {
-        Err(flag) if flag.to_string() == wrong.to_string() => Err(flag),
-        _ => Err(Error::input(file, wrong.to_string(), "correct it there")),
+    let by_flag = flags.is_err_and(|flag| flag.to_string() == wrong.to_string());
+    match is_wrong && !by_flag {
+        true => Err(Error::input(file, wrong.to_string(), "correct it there")),
+        false => Err(wrong),
     }
 }
 

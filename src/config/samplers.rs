@@ -1,4 +1,4 @@
-//! The samplers and their own settings. Everything else of a run is the same for all of them.
+//! The samplers and their own settings. Everything else of a run is the same for all of them, but the rate of scales in short runs (`Schedule::rates`).
 
 use serde::{Deserialize, Serialize};
 

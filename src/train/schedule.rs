@@ -161,8 +161,8 @@ impl Schedule {
     /// scene extent is 1.
     ///
     /// Adam moves a parameter by about its rate per iteration, whatever the gradient, so that a short run cannot reach what
-    /// a long one does. With f = √(30,000/n), 1 ≤ f ≤ 4, a run of n iterations therefore takes f^1.5 times the rate for positions and, with mh, scales, which have the
-    /// longest way to go, f times for the higher SH bands and √f times for the rest, scales with other strategies among it (docs/results/learning-rates.md). From 30,000 iterations on the rates are
+    /// a long one does. With f = √(30,000/n), 1 ≤ f ≤ 4, a run of n iterations therefore takes f^1.5 times the rate for positions, which have the
+    /// longest way to go, and with mh for scales, f times for the higher SH bands and √f times for the rest (docs/results/learning-rates.md). From 30,000 iterations on the rates are
     /// the papers'. Towards the end all but the position's settle (`lr-settle`). A step for a batch of B views takes √B times the rates: the gradients of B views have
     /// a mean whose scatter is 1/√B of that of one, and B steps of one view get as far at random as one of √B times the length
     /// (Grendel-GS, Zhao et al. 2024).
@@ -172,7 +172,7 @@ impl Schedule {
         let boost = self.boost(iteration);
         let factor = self.settle(iteration) * self.batch_boost();
         let (slow, far) = (factor * boost.sqrt(), boost.powf(1.5));
-        // Without newborns that shrink to their places sets lose by it.
+        // With mcmc and with a fixed set plush loses by it (docs/results/learning-rates.md).
         let scale = match self.config.sampler {
             Sampler::Mh => factor * far,
             Sampler::Mcmc | Sampler::Adc | Sampler::None => slow,

@@ -318,7 +318,23 @@ fn refused_values_name_their_option() {
         assert!(said.contains(expected), "{content}: {said}");
         assert!(said.contains(text(file)), "{content}: {said}");
     }
-    // A flag wins over what the file has, and is what is named where it is wrong.
+    fs::write(&toml, "[mh]\nbirth = \"twin\"").unwrap();
+    fs::write(&json, r#"{ "mh": { "birth": "twin" } }"#).unwrap();
+    for file in [&toml, &json] {
+        let output = mhsplat(&["train", "nowhere", "-o", "run", "--config", text(file)]);
+        let said = stderr(&output);
+        assert!(
+            said.contains("mh.birth: ") && said.contains("faint"),
+            "{said}"
+        );
+    }
+}
+
+/// A flag wins over what a file has, and is what is named where it is wrong.
+#[test]
+fn a_wrong_value_is_told_by_the_flag_or_the_file_that_has_it() {
+    let dir = tempfile::tempdir().unwrap();
+    let toml = dir.path().join("c.toml");
     fs::write(&toml, "sh-degree = 9").unwrap();
     for (degree, expected) in [
         ("1", "nowhere"),
@@ -349,14 +365,20 @@ fn refused_values_name_their_option() {
         said.contains("mh.turnover") && said.contains(text(&toml)),
         "{said}"
     );
-    fs::write(&toml, "[mh]\nbirth = \"twin\"").unwrap();
-    fs::write(&json, r#"{ "mh": { "birth": "twin" } }"#).unwrap();
-    for file in [&toml, &json] {
-        let output = mhsplat(&["train", "nowhere", "-o", "run", "--config", text(file)]);
-        let said = stderr(&output);
-        assert!(
-            said.contains("mh.birth: ") && said.contains("faint"),
-            "{said}"
-        );
-    }
+    // What is wrong only together is neither's.
+    fs::write(&toml, "patience = 3").unwrap();
+    let args = [
+        "train",
+        "nowhere",
+        "-o",
+        "run",
+        "--eval-every",
+        "0",
+        "--config",
+    ];
+    let said = stderr(&mhsplat(&[&args[..], &[text(&toml)]].concat()));
+    assert!(
+        said.contains("--patience") && !said.contains(text(&toml)),
+        "{said}"
+    );
 }
