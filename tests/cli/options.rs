@@ -335,50 +335,20 @@ fn refused_values_name_their_option() {
 fn a_wrong_value_is_told_by_the_flag_or_the_file_that_has_it() {
     let dir = tempfile::tempdir().unwrap();
     let toml = dir.path().join("c.toml");
-    fs::write(&toml, "sh-degree = 9").unwrap();
-    for (degree, expected) in [
-        ("1", "nowhere"),
-        ("5", "--sh-degree: 5"),
-        ("9", "--sh-degree: 9"),
-    ] {
-        let args = ["train", "nowhere", "-o", "run", "--sh-degree", degree];
-        let output = mhsplat(&[&args[..], &["--config", text(&toml)]].concat());
-        let said = stderr(&output);
-        assert!(
-            said.contains(expected) && !said.contains(text(&toml)),
-            "{said}"
-        );
-    }
+    let says = |content: &str, flags: [&str; 2], expected: &str, names_file: bool| {
+        fs::write(&toml, content).unwrap();
+        let args = ["train", "nowhere", "-o", "run", "--config", text(&toml)];
+        let said = stderr(&mhsplat(&[&args[..], &flags].concat()));
+        assert!(said.contains(expected), "{flags:?}: {said}");
+        assert_eq!(said.contains(text(&toml)), names_file, "{said}");
+    };
+    let wrong = "sh-degree = 9";
+    says(wrong, ["--sh-degree", "1"], "nowhere", false);
+    says(wrong, ["--sh-degree", "5"], "--sh-degree: 5", false);
+    says(wrong, ["--sh-degree", "9"], "--sh-degree: 9", false);
     // Nor does a value that a flag replaces hide the next one.
-    fs::write(&toml, "sh-degree = 9\n[mh]\nturnover = -1.0").unwrap();
-    let args = [
-        "train",
-        "nowhere",
-        "-o",
-        "run",
-        "--sh-degree",
-        "1",
-        "--config",
-    ];
-    let said = stderr(&mhsplat(&[&args[..], &[text(&toml)]].concat()));
-    assert!(
-        said.contains("mh.turnover") && said.contains(text(&toml)),
-        "{said}"
-    );
-    // What is wrong only together is neither's.
-    fs::write(&toml, "patience = 3").unwrap();
-    let args = [
-        "train",
-        "nowhere",
-        "-o",
-        "run",
-        "--eval-every",
-        "0",
-        "--config",
-    ];
-    let said = stderr(&mhsplat(&[&args[..], &[text(&toml)]].concat()));
-    assert!(
-        said.contains("--patience") && !said.contains(text(&toml)),
-        "{said}"
-    );
+    let two = "sh-degree = 9\n[mh]\nturnover = -1.0";
+    says(two, ["--sh-degree", "1"], "mh.turnover", true);
+    // The file has no part in what is wrong only with a flag.
+    says("patience = 3", ["--eval-every", "0"], "--patience", false);
 }
