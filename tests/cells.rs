@@ -272,6 +272,7 @@ fn cells_of_one_scene_give_it_back_once() {
         .scatter(Plane::POSITION, 0, on.as_vec3().to_array());
     scene.anti_aliased = true;
     scene.up = Some([0.0, 0.0, 1.0]);
+    scene.cameras = Some([1.0, -2.0, 3.0, 0.5]);
     let file = written(dir.path().join("one.ply"), &scene);
     let merged = dir.path().join("merged.ply");
     let mut args = vec!["merge", text(&out), "-o", text(&merged), "--json", "--runs"];
@@ -285,6 +286,7 @@ fn cells_of_one_scene_give_it_back_once() {
     );
     let merged = read(&merged);
     assert!(merged.anti_aliased && merged.up == scene.up);
+    assert_eq!(merged.cameras, scene.cameras);
     let set = |scene: &SceneFile| -> BTreeSet<Vec<u32>> {
         let planes = scene.splats.planes();
         let row =

@@ -231,6 +231,7 @@ fn frames_and_marks_are_kept() {
             let given = SceneFile {
                 anti_aliased,
                 up: Some([0.0, -1.0, 0.25]),
+                cameras: Some([1e-7, -2.5e6, 0.1, 4.25]),
                 ..scene(40, 1)
             };
             // The name does not say what a file is, but for .splat.
@@ -255,6 +256,8 @@ fn frames_and_marks_are_kept() {
             let comments = !plain.contains(&format);
             // A direction: of length 1, to five decimals.
             assert_eq!(back.up.is_some(), comments);
+            let lines = [SceneFormat::Ply, SceneFormat::CompressedPly].contains(&format);
+            assert_eq!(back.cameras, given.cameras.filter(|_| lines), "{format:?}");
             let off = back.up.map_or(0.0, |up| {
                 DVec3::from(up).distance(DVec3::new(0.0, -1.0, 0.25).normalize())
             });
@@ -279,6 +282,28 @@ fn marks_of_others_are_read() {
     formats::write(&file, SceneFormat::Ply, &scene(2, 0), &Frame::IDENTITY).unwrap();
     let plain = fs::read(&file).unwrap();
     let start = b"ply\nformat binary_little_endian 1.0\n".len();
+    let read = |comments: &str| {
+        let comment = format!("comment {comments}\n");
+        fs::write(
+            &file,
+            [&plain[..start], comment.as_bytes(), &plain[start..]].concat(),
+        )
+        .unwrap();
+        formats::read(&file, &Frame::IDENTITY).unwrap()
+    };
+    for wrong in [
+        "1 2 3",
+        "1 2 3 0",
+        "1 2 3 -1",
+        "1 2 nan 4",
+        "1 2 3 4 5",
+        "here",
+    ] {
+        assert_eq!(
+            read(&format!("mhsplat cameras within: {wrong}")).cameras,
+            None
+        );
+    }
     let up = Some([0.0, 0.0, 1.0]);
     for (comments, anti_aliased, axis) in [
         ("SplatRenderMode: mip", true, None),
@@ -293,13 +318,7 @@ fn marks_of_others_are_read() {
             up,
         ),
     ] {
-        let comment = format!("comment {comments}\n");
-        fs::write(
-            &file,
-            [&plain[..start], comment.as_bytes(), &plain[start..]].concat(),
-        )
-        .unwrap();
-        let read = formats::read(&file, &Frame::IDENTITY).unwrap();
+        let read = read(comments);
         assert_eq!(
             (read.anti_aliased, read.up),
             (anti_aliased, axis),

@@ -12,7 +12,7 @@ use mhsplat::density::{
     DensityControl, Outcome, SceneState, Statistics, StatisticsKind, StepContext, make,
 };
 use mhsplat::device::tuning::Tuning;
-use mhsplat::device::{Defines, Device, Helpers, PhotoScale};
+use mhsplat::device::{Defines, Device, DeviceInfo, DeviceKind, Helpers, PhotoScale};
 use mhsplat::evaluate::Evaluator;
 use mhsplat::lab::bench::scene::cloud;
 use mhsplat::pipeline::buffers::ViewSet;
@@ -511,6 +511,33 @@ fn the_program_takes_lists_of_devices_and_parts_of_one() {
         return;
     }
     assert!(scene(dir.path(), "cpu/2") == want);
+}
+
+/// Processes of one node share its devices out, but never take the hardware of another's device again under a second driver.
+#[test]
+fn processes_of_a_node_take_its_devices_in_turn() {
+    let cpu = Device::open(None).unwrap().info().clone();
+    let device = |index, kind, platform: &str| DeviceInfo {
+        index,
+        kind,
+        platform: platform.to_owned(),
+        ..cpu.clone()
+    };
+    let (gpu, cpu) = (DeviceKind::Gpu, DeviceKind::Cpu);
+    let taken = |list: &[DeviceInfo], ranks: usize| -> Vec<usize> {
+        let of = |rank| Device::of_local_rank(list, rank).unwrap().index;
+        (0..ranks).map(of).collect()
+    };
+    let node = [
+        device(0, cpu, "PoCL"),
+        device(1, gpu, "CUDA"),
+        device(2, gpu, "rusticl"),
+        device(3, gpu, "CUDA"),
+    ];
+    assert_eq!(taken(&node, 5), [1, 3, 1, 3, 1]);
+    let cpus = [device(0, cpu, "PoCL"), device(1, cpu, "Intel")];
+    assert_eq!(taken(&cpus, 3), [0, 0, 0]);
+    assert!(Device::of_local_rank(&[], 0).is_none());
 }
 
 /// A program without MPI does not train as many scenes as there are processes.

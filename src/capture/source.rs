@@ -101,7 +101,7 @@ pub struct PhotoFile {
 }
 
 /// A number that changes when a byte does: FNV-1a over words of eight bytes, with the upper half mixed into the lower one.
-fn digest(bytes: &[u8]) -> u64 {
+pub(super) fn digest(bytes: &[u8]) -> u64 {
     let mut hash = Fnv::default();
     let mut take = |word| {
         hash.word(word);

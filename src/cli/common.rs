@@ -44,6 +44,12 @@ impl DeviceOption {
         self.open_other(self.selector().as_deref())
     }
 
+    /// Opens the device of one of several processes: without a selector the one with its number on its node.
+    pub fn open_own(&self) -> Result<Device> {
+        let selector = self.selector();
+        self.open_other(selector.as_deref().or(Some("local-rank")))
+    }
+
     /// Opens the device, or the several that the selector names.
     pub fn open_all(&self) -> Result<Device> {
         Device::open_all(self.selector().as_deref(), Cores::new(self.threads)?)

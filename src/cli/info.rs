@@ -266,7 +266,7 @@ fn of_scene(path: &Path) -> Result<(Value, Vec<String>)> {
     });
     let (count, degree) = (splats.len(), splats.sh_degree());
     let document = json!({
-        "path": path, "gaussians": count, "sh_degree": degree, "anti_aliased": file.anti_aliased, "up": file.up, "saturated": file.saturated,
+        "path": path, "gaussians": count, "sh_degree": degree, "anti_aliased": file.anti_aliased, "up": file.up, "cameras": file.cameras, "saturated": file.saturated,
         "quantiles": { "shares": QUANTILES, "x": axes[0], "y": axes[1], "z": axes[2], "opacity": opacity, "scale": scale },
     });
     let words = |values: &[f64]| {
@@ -277,13 +277,16 @@ fn of_scene(path: &Path) -> Result<(Value, Vec<String>)> {
         true => "anti-aliased: to be rendered with the 2D filter",
         false => "not anti-aliased",
     };
-    let mut lines = vec![
-        format!(
-            "{}: {count} Gaussians, SH degree {degree}, {filter}",
-            path.display()
-        ),
-        "least, 5 %, median, 95 %, largest of".to_owned(),
-    ];
+    let mut lines = vec![format!(
+        "{}: {count} Gaussians, SH degree {degree}, {filter}",
+        path.display()
+    )];
+    if let Some([x, y, z, radius]) = file.cameras {
+        lines.push(format!(
+            "trained with cameras within {radius:.4} of [{x:.4}, {y:.4}, {z:.4}]"
+        ));
+    }
+    lines.push("least, 5 %, median, 95 %, largest of".to_owned());
     let rows = [("x", &axes[0]), ("y", &axes[1]), ("z", &axes[2])];
     let rows = rows
         .into_iter()

@@ -45,7 +45,7 @@ pub fn run(args: &MergeArgs, common: &Common) -> Result<Outcome> {
     let runs = runs(args, cells.cells.len())?;
     let mut counts = Vec::with_capacity(runs.len());
     let mut whole: Option<(SceneFile, Convention)> = None;
-    let mut up = DVec3::ZERO;
+    let (mut up, mut spheres) = (DVec3::ZERO, Vec::new());
     for (i, run) in runs.iter().enumerate() {
         let (file, record) = scene::locate(run)?;
         if let Some(record) = &record {
@@ -58,6 +58,7 @@ pub fn run(args: &MergeArgs, common: &Common) -> Result<Outcome> {
             exposure: record.as_ref().map(compensated),
         };
         up += file.up.map_or(DVec3::ZERO, DVec3::from);
+        spheres.extend(file.cameras);
         let read = file.splats.len();
         let splats = file.splats.centered(|p| cells.owns(i, p));
         counts.push((run, read, splats.len()));
@@ -82,6 +83,7 @@ pub fn run(args: &MergeArgs, common: &Common) -> Result<Outcome> {
         output::note(&format!("{}: no Gaussian lies in its cell", run.display()));
     }
     whole.up = up.try_normalize().map(|up| up.to_array());
+    whole.cameras = around(&spheres);
     if convention.exposure == Some(true) {
         output::note(
             "the runs compensated exposures, each by itself: brightness may differ between cells",
@@ -112,6 +114,15 @@ pub fn run(args: &MergeArgs, common: &Common) -> Result<Outcome> {
         bytes as f64 / 1e6
     ));
     Ok(Outcome::Done)
+}
+
+/// A sphere around spheres, centre and radius, about the mean of their centres; `None` if there are none.
+fn around(spheres: &[[f64; 4]]) -> Option<[f64; 4]> {
+    let center = |s: &[f64; 4]| DVec3::new(s[0], s[1], s[2]);
+    let mean = spheres.iter().map(center).sum::<DVec3>() / spheres.len().max(1) as f64;
+    let reach = spheres.iter().map(|s| center(s).distance(mean) + s[3]);
+    let radius = reach.reduce(f64::max)?;
+    Some([mean.x, mean.y, mean.z, radius])
 }
 
 /// Returns the runs of the cells.

@@ -22,8 +22,7 @@ pub fn open(option: &DeviceOption) -> Result<Option<Device>> {
         processes => {
             let exchange = exchange(processes)?;
             let tell = |error: &Error| exchange.fail(&error.to_string());
-            // One each.
-            let device = option.open().inspect_err(tell)?;
+            let device = option.open_own().inspect_err(tell)?;
             if exchange.rank() == LEADER {
                 return Ok(Some(device.with_processes(exchange)));
             }
@@ -34,7 +33,7 @@ pub fn open(option: &DeviceOption) -> Result<Option<Device>> {
 }
 
 #[cfg(feature = "mpi")]
-fn exchange(_processes: usize) -> Result<Arc<dyn Exchange>> {
+fn exchange(processes: usize) -> Result<Arc<dyn Exchange>> {
     use mhsplat::ranks::{Patience, mpi};
 
     const NAME: &str = "MHSPLAT_RANK_TIMEOUT";
@@ -46,10 +45,19 @@ fn exchange(_processes: usize) -> Result<Arc<dyn Exchange>> {
             seconds.ok_or_else(wrong)?
         }
     };
-    mpi(Patience {
+    let exchange = mpi(Patience {
         seconds,
         tell: |text| crate::cli::output::note(text),
-    })
+    })?;
+    match exchange.ranks() {
+        found if found == processes => Ok(exchange),
+        // Each would lead a training of its own.
+        found => {
+            let what = format!("{processes} processes were launched, and MPI finds {found}");
+            let fix = "launch them with srun --mpi=pmix (`srun --mpi=list` shows what there is), or with the mpirun of the MPI library that the program was built with";
+            Err(Error::device("ranks", what, fix))
+        }
+    }
 }
 
 #[cfg(not(feature = "mpi"))]
@@ -67,6 +75,7 @@ fn follow(exchange: &Arc<dyn Exchange>, device: &Device) -> Result<()> {
             // The leader shows it.
             progress: None,
             keepers: launched::on_this_node(),
+            compared: true,
             ..scene::load_options(config)
         };
         capture::load(path, &options)

@@ -129,11 +129,7 @@ fn find(selector: Option<&str>) -> Result<(DeviceInfo, core::DeviceId)> {
     let found = match selector {
         None => Device::default_of(&infos),
         Some("") => None,
-        Some("local-rank") => {
-            let best = Device::default_of(&infos).map(|d| d.kind);
-            let best: Vec<&DeviceInfo> = infos.iter().filter(|d| Some(d.kind) == best).collect();
-            best.get(local_rank() % best.len().max(1)).copied()
-        }
+        Some("local-rank") => Device::of_local_rank(&infos, local_rank()),
         Some(s) => select(&infos, s),
     };
     let Some(info) = found.cloned() else {
@@ -166,8 +162,20 @@ impl Device {
         list.iter().min_by_key(|d| (d.kind, d.index))
     }
 
+    /// The device of the process with this number among those on its node: one of the default's platform and kind, in turn. Another platform may have
+    /// the same hardware again, under another driver.
+    #[must_use]
+    pub fn of_local_rank(list: &[DeviceInfo], rank: usize) -> Option<&DeviceInfo> {
+        let default = Self::default_of(list)?;
+        let alike = list
+            .iter()
+            .filter(|d| d.kind == default.kind && d.platform == default.platform);
+        let alike: Vec<&DeviceInfo> = alike.collect();
+        alike.get(rank % alike.len().max(1)).copied()
+    }
+
     /// Opens the device named by an index, a part of its name or platform, a type (cpu, gpu, accelerator), or `local-rank`: the device of
-    /// the default's kind that has the number of this process among those on its node. A CPU takes the cores that the process may use ([`Cores::allowed`]).
+    /// this process among those on its node ([`Device::of_local_rank`]). A CPU takes the cores that the process may use ([`Cores::allowed`]).
     ///
     /// # Errors
     /// No device, or none that matches.

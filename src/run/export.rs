@@ -71,9 +71,10 @@ impl Exports {
     }
 
     fn scene(&self, splats: &Gaussians, filter: &[f32]) -> Result<SceneFile> {
-        let up = self.up;
+        let (up, Frame { center, scale }) = (self.up, self.frame);
         Ok(SceneFile {
             up,
+            cameras: Some([center.x, center.y, center.z, scale]),
             ..SceneFile::trained(splats, filter)?
         })
     }

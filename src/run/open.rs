@@ -315,8 +315,8 @@ fn trainer(
         Helpers::Devices(_) => dataset.train.clone(),
         _ => Vec::new(),
     };
-    let (path, fingerprint) = match device.helpers() {
-        Helpers::Processes(_) => (dataset.path.clone(), dataset.fingerprint()),
+    let (path, fingerprint, files) = match device.helpers() {
+        Helpers::Processes(_) => (dataset.path.clone(), dataset.fingerprint(), dataset.files),
         _ => Default::default(),
     };
     let photos = Photos::new(device, budget);
@@ -329,7 +329,7 @@ fn trainer(
     };
     let mut trainer = Trainer::with_views(train, plan, &splats)?;
     trainer.recruit(device.helpers(), &shared, budget, |trainer| {
-        beginning((&path, fingerprint), trainer, splats.sh_degree())
+        beginning((&path, fingerprint, files), trainer, splats.sh_degree())
     })?;
     Ok((trainer, test))
 }

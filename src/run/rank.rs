@@ -23,6 +23,7 @@ struct Beginning {
     /// The dataset, and what it holds.
     dataset: PathBuf,
     fingerprint: String,
+    files: Option<u64>,
     config: TrainConfig,
     /// Kind and tuning of the leader's device.
     kind: DeviceKind,
@@ -47,7 +48,7 @@ fn version() -> String {
 /// # Errors
 /// A configuration that cannot be written.
 pub(super) fn beginning(
-    (dataset, fingerprint): (&Path, String),
+    (dataset, fingerprint, files): (&Path, String, Option<u64>),
     trainer: &Trainer,
     sh_degree: u32,
 ) -> Result<Vec<u32>> {
@@ -56,6 +57,7 @@ pub(super) fn beginning(
         program: version(),
         dataset: std::path::absolute(dataset).unwrap_or_else(|_| dataset.to_path_buf()),
         fingerprint,
+        files,
         config: plan.config.clone(),
         kind: trainer.device_kind(),
         tuning: trainer.tuning(),
@@ -94,8 +96,12 @@ pub fn serve(
         return Err(wrong(what));
     }
     let dataset = load(&said.dataset, &said.config)?;
-    if dataset.fingerprint() != said.fingerprint {
-        let what = "is another dataset here than on the leader's node";
+    let other = match dataset.fingerprint() == said.fingerprint {
+        true if dataset.files == said.files => None,
+        true => Some("has photos or masks of other bytes here than on the leader's node"),
+        false => Some("is another dataset here than on the leader's node"),
+    };
+    if let Some(what) = other {
         let fix = "give all nodes one file system, or copies of one dataset";
         return Err(Error::input(&said.dataset, what, fix));
     }

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use serde_json::Value;
 
 use super::{done, mhsplat, room, scratch_dataset, stderr, stdout, text};
-use mhsplat::capture::Frame;
+use mhsplat::capture::{Frame, LoadOptions, load};
 use mhsplat::lab::synth::SynthLayout;
 use mhsplat::scene::formats::{self, SceneFile};
 use mhsplat::scene::{Gaussians, Plane, ply};
@@ -183,6 +183,11 @@ fn a_run_exports_what_is_asked_for() {
     );
     let own = read(&run.join("scene.ply"));
     assert!(own.up.is_some() && own.anti_aliased);
+    let frame = load(&data, &LoadOptions::default()).unwrap().frame;
+    let [x, y, z] = frame.center.to_array();
+    assert_eq!(own.cameras, Some([x, y, z, frame.scale]));
+    let told = done(&["info", text(&run.join("scene.ply"))]);
+    assert!(told.contains("trained with cameras within"), "{told}");
     for (name, marked) in [
         ("scene.spz", true),
         ("scene.compressed.ply", true),

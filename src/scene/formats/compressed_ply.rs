@@ -131,6 +131,7 @@ pub(super) fn read(path: &Path, content: &Content, frame: &Frame) -> Result<Scen
     Ok(SceneFile {
         anti_aliased: marks.anti_aliased,
         up: marks.up,
+        cameras: marks.cameras,
         ..SceneFile::new(localized(path, degree, planes, frame)?)
     })
 }

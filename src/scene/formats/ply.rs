@@ -32,6 +32,8 @@ pub const ANTI_ALIASED: &str =
 const RENDER_MODE: &str = "SplatRenderMode:";
 /// Mark of the direction away from the ground, as Brush writes it.
 const UP: &str = "Vertical axis:";
+/// Mark of the sphere around the cameras that a scene was trained with: centre and radius.
+const CAMERAS: &str = "mhsplat cameras within:";
 
 /// Standard deviation of a Gaussian's 3D filter, world units, in the files of Mip-Splatting, which leave it unmerged.
 const FILTER: &str = "filter_3D";
@@ -82,6 +84,9 @@ pub(super) fn comments(scene: &SceneFile) -> String {
     if let Some([x, y, z]) = scene.up {
         lines += &format!("comment {UP} {x:.5} {y:.5} {z:.5}\n");
     }
+    if let Some([x, y, z, radius]) = scene.cameras {
+        lines += &format!("comment {CAMERAS} {x} {y} {z} {radius}\n");
+    }
     if scene.anti_aliased {
         lines += &format!("comment {ANTI_ALIASED}\ncomment {RENDER_MODE} mip\n");
     }
@@ -98,6 +103,7 @@ pub(super) fn is_anti_aliased(path: &Path) -> bool {
 pub(super) struct Marks {
     pub(super) anti_aliased: bool,
     pub(super) up: Option<[f64; 3]>,
+    pub(super) cameras: Option<[f64; 4]>,
 }
 
 /// The marks among the comments of a header: our own counts before the others'.
@@ -128,16 +134,20 @@ pub(super) fn marks(path: &Path, comments: &[String]) -> Result<Marks> {
     let mip = value(RENDER_MODE).is_some_and(|mode| mode.eq_ignore_ascii_case("mip"));
     // Postshot's.
     let flag = value("antialiased ") == Some("1");
-    let up = value(UP).and_then(|text| {
-        let parts = text.split_whitespace().map(|v| v.parse().ok());
-        let parts: Option<Vec<f64>> = parts.collect();
-        let up: [f64; 3] = parts?.try_into().ok()?;
+    let numbers = |key: &str| -> Option<Vec<f64>> {
+        let parts = value(key)?.split_whitespace();
+        parts.map(|v| v.parse().ok()).collect()
+    };
+    let up = numbers(UP).and_then(|up| {
+        let up: [f64; 3] = up.try_into().ok()?;
         let direction = DVec3::from(up).try_normalize();
         direction.map(|up| up.to_array())
     });
+    let cameras = numbers(CAMERAS).and_then(|sphere| <[f64; 4]>::try_from(sphere).ok());
     Ok(Marks {
         anti_aliased: own.is_some() || mip || flag,
         up,
+        cameras: cameras.filter(|c| c.iter().all(|v| v.is_finite()) && c[3] > 0.0),
     })
 }
 
@@ -279,6 +289,7 @@ fn from_table(path: &Path, table: &Table, frame: &Frame) -> Result<SceneFile> {
     Ok(SceneFile {
         anti_aliased: marks.anti_aliased || filtered,
         up: marks.up,
+        cameras: marks.cameras,
         saturated,
         remarks,
         ..SceneFile::new(splats)

@@ -23,6 +23,9 @@ pub struct SceneFile {
     pub anti_aliased: bool,
     /// Direction away from the ground, if the file or the capture tells.
     pub up: Option<[f64; 3]>,
+    /// Centre and radius of the cameras that it was trained with, in the units of the file, if that or the capture tells. Gaussians may lie hundreds
+    /// of radii away.
+    pub cameras: Option<[f64; 4]>,
     /// Number of opacities of exactly 0 or 1 (infinite logits), which are read as nearly that; where the format knows logits.
     pub saturated: usize,
     /// Things that a reader left out or changed beside those.
@@ -37,6 +40,7 @@ impl SceneFile {
             splats,
             anti_aliased: false,
             up: None,
+            cameras: None,
             saturated: 0,
             remarks: Vec::new(),
         }
