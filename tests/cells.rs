@@ -14,7 +14,7 @@ use mhsplat::base::error::Error;
 use mhsplat::capture::split::{Cells, SplitOptions, split};
 use mhsplat::capture::{Alpha, Dataset, Frame, Lens, View};
 use mhsplat::lab::synth::SynthLayout;
-use mhsplat::scene::formats::{self, SceneFile};
+use mhsplat::scene::formats::{self, SceneFile, Sphere};
 use mhsplat::scene::{Gaussians, Plane};
 
 fn options(cells: usize) -> SplitOptions {
@@ -272,11 +272,18 @@ fn cells_of_one_scene_give_it_back_once() {
         .scatter(Plane::POSITION, 0, on.as_vec3().to_array());
     scene.anti_aliased = true;
     scene.up = Some([0.0, 0.0, 1.0]);
-    scene.cameras = Some([1.0, -2.0, 3.0, 0.5]);
-    let file = written(dir.path().join("one.ply"), &scene);
+    // Each with cameras around another place.
+    let files = [0, 1, 2, 3, 4].map(|i| {
+        scene.cameras = Some(Sphere {
+            center: DVec3::X * f64::from(10 * i),
+            radius: 1.0 + f64::from(i),
+        });
+        written(dir.path().join(format!("{i}.ply")), &scene)
+    });
+    let file = &files[0];
     let merged = dir.path().join("merged.ply");
     let mut args = vec!["merge", text(&out), "-o", text(&merged), "--json", "--runs"];
-    args.extend([text(&file); 5]);
+    args.extend(files.iter().map(|file| text(file)));
     let json: Value = serde_json::from_str(&done(&args)).unwrap();
     let kept = json["cells"].as_array().unwrap().iter();
     let kept: Vec<u64> = kept.map(|c| c["kept"].as_u64().unwrap()).collect();
@@ -286,7 +293,11 @@ fn cells_of_one_scene_give_it_back_once() {
     );
     let merged = read(&merged);
     assert!(merged.anti_aliased && merged.up == scene.up);
-    assert_eq!(merged.cameras, scene.cameras);
+    let around = Sphere {
+        center: DVec3::X * 20.0,
+        radius: 25.0,
+    };
+    assert_eq!(merged.cameras, Some(around));
     let set = |scene: &SceneFile| -> BTreeSet<Vec<u32>> {
         let planes = scene.splats.planes();
         let row =
@@ -294,7 +305,14 @@ fn cells_of_one_scene_give_it_back_once() {
         (0..scene.splats.len()).map(row).collect()
     };
     assert_eq!(merged.splats.len(), 3000);
-    assert_eq!(set(&merged), set(&read(&file)));
+    assert_eq!(set(&merged), set(&read(file)));
+    // One does not tell: nothing is said of the others' part.
+    scene.cameras = None;
+    written(files[3].clone(), &scene);
+    let silent = dir.path().join("silent.ply");
+    args[3] = text(&silent);
+    done(&args);
+    assert_eq!(read(&silent).cameras, None);
 }
 
 /// The refusal of a merge; nothing is written.

@@ -1,6 +1,7 @@
 //! Tests: dataset readers, split, frame, photos, initialisation.
 
 mod colmap;
+mod copies;
 pub mod exports;
 mod formats;
 mod frames;

@@ -12,7 +12,7 @@ use glam::DVec3;
 use mhsplat::base::rng::Philox;
 use mhsplat::capture::Frame;
 use mhsplat::config::SceneFormat;
-use mhsplat::scene::formats::{self, SceneFile};
+use mhsplat::scene::formats::{self, SceneFile, Sphere};
 use mhsplat::scene::{Gaussians, Plane};
 
 pub const LOSSY: [SceneFormat; 5] = [
@@ -226,12 +226,16 @@ fn frames_and_marks_are_kept() {
         scale: 0.25,
     };
     let dir = tempfile::tempdir().unwrap();
+    let sphere = Sphere {
+        center: DVec3::new(1.5, -2.0, 0.125),
+        radius: 3.5,
+    };
     for format in [&[SceneFormat::Ply][..], &LOSSY].concat() {
         for anti_aliased in [false, true] {
             let given = SceneFile {
                 anti_aliased,
                 up: Some([0.0, -1.0, 0.25]),
-                cameras: Some([1e-7, -2.5e6, 0.1, 4.25]),
+                cameras: Some(sphere),
                 ..scene(40, 1)
             };
             // The name does not say what a file is, but for .splat.
@@ -257,7 +261,17 @@ fn frames_and_marks_are_kept() {
             // A direction: of length 1, to five decimals.
             assert_eq!(back.up.is_some(), comments);
             let lines = [SceneFormat::Ply, SceneFormat::CompressedPly].contains(&format);
-            assert_eq!(back.cameras, given.cameras.filter(|_| lines), "{format:?}");
+            assert_eq!(back.cameras, lines.then_some(sphere), "{format:?}");
+            if format == SceneFormat::Ply {
+                let own = formats::read(&file, &Frame::IDENTITY).unwrap().cameras;
+                let center = DVec3::new(10.375, -20.5, 0.53125);
+                let radius = 0.875;
+                assert_eq!(
+                    own,
+                    Some(Sphere { center, radius }),
+                    "in the dataset's frame"
+                );
+            }
             let off = back.up.map_or(0.0, |up| {
                 DVec3::from(up).distance(DVec3::new(0.0, -1.0, 0.25).normalize())
             });

@@ -513,14 +513,15 @@ fn the_program_takes_lists_of_devices_and_parts_of_one() {
     assert!(scene(dir.path(), "cpu/2") == want);
 }
 
-/// Processes of one node share its devices out, but never take the hardware of another's device again under a second driver.
+/// Processes of one node share its devices out, those that are like the default one: no other platform's, no slower ones beside them.
 #[test]
 fn processes_of_a_node_take_its_devices_in_turn() {
     let cpu = Device::open(None).unwrap().info().clone();
-    let device = |index, kind, platform: &str| DeviceInfo {
+    let device = |index, kind, [platform, name]: [&str; 2]| DeviceInfo {
         index,
         kind,
         platform: platform.to_owned(),
+        name: name.to_owned(),
         ..cpu.clone()
     };
     let (gpu, cpu) = (DeviceKind::Gpu, DeviceKind::Cpu);
@@ -529,13 +530,17 @@ fn processes_of_a_node_take_its_devices_in_turn() {
         (0..ranks).map(of).collect()
     };
     let node = [
-        device(0, cpu, "PoCL"),
-        device(1, gpu, "CUDA"),
-        device(2, gpu, "rusticl"),
-        device(3, gpu, "CUDA"),
+        device(0, cpu, ["PoCL", "Zen"]),
+        device(1, gpu, ["AMD", "MI300"]),
+        device(2, gpu, ["rusticl", "MI300"]),
+        device(3, gpu, ["AMD", "graphics of the processor"]),
+        device(4, gpu, ["AMD", "MI300"]),
     ];
-    assert_eq!(taken(&node, 5), [1, 3, 1, 3, 1]);
-    let cpus = [device(0, cpu, "PoCL"), device(1, cpu, "Intel")];
+    assert_eq!(taken(&node, 5), [1, 4, 1, 4, 1]);
+    let cpus = [
+        device(0, cpu, ["PoCL", "Zen"]),
+        device(1, cpu, ["Intel", "Zen"]),
+    ];
     assert_eq!(taken(&cpus, 3), [0, 0, 0]);
     assert!(Device::of_local_rank(&[], 0).is_none());
 }

@@ -10,6 +10,7 @@ use crate::base::error::{Error, Result};
 use crate::base::math::{order_statistic, sorted};
 use crate::capture::camera::Camera;
 use crate::capture::dataset::{Dataset, Layout, LoadOptions, Needed, View};
+use crate::capture::digests::Digests;
 use crate::capture::endings::{EXTENSIONS, is_converted, is_image};
 use crate::capture::frame::Frame;
 use crate::capture::lens::{Lens, Undistortion};
@@ -18,7 +19,7 @@ use crate::capture::panorama::{self, Side};
 use crate::capture::photo::Alpha;
 use crate::capture::point_cloud::Points;
 use crate::capture::rows::READ;
-use crate::capture::source::{MaskFile, PhotoFile, PhotoSource, Resampling, digest, header, read};
+use crate::capture::source::{MaskFile, PhotoFile, PhotoSource, Resampling, header, read};
 
 /// A posed image file; the camera in the dataset's own frame, intrinsics as the dataset gives them.
 #[derive(Clone)]
@@ -150,8 +151,7 @@ pub(super) fn assemble(path: &Path, mut scene: RawScene, options: &LoadOptions) 
         );
         return Err(Error::input(path, what, "check the poses"));
     }
-    let points = Points::local(path, &frame, (scene.positions, scene.colors))?;
-    let content = options.compared.then(|| content(&raw)).transpose()?;
+    let sparse = (&scene.positions[..], &scene.colors[..]);
     let each = || automatic_budget() / options.keepers.max(1) as u64;
     let budget = options.image_budget.unwrap_or_else(each);
     let masked = raw.iter().any(|v| v.mask.is_some());
@@ -168,6 +168,10 @@ pub(super) fn assemble(path: &Path, mut scene: RawScene, options: &LoadOptions) 
         .par_iter()
         .map(|v| place(v, &frame, options, meaning))
         .collect::<Result<_>>()?;
+    let each_files = raw.iter().map(|v| (&v.file, v.mask.as_ref()));
+    let digests = || Digests::new(each_files.collect(), sparse);
+    let digests = options.digests.then(digests).transpose()?;
+    let points = Points::local(path, &frame, (scene.positions, scene.colors))?;
     let all = 0..files.len();
     let needed = match options.photos {
         Needed::None => None,
@@ -221,25 +225,8 @@ pub(super) fn assemble(path: &Path, mut scene: RawScene, options: &LoadOptions) 
         outliers,
         masked_out: black.into_iter().map(|v| v.name).collect(),
         image_budget: budget,
-        files: content,
+        digests,
     })
-}
-
-/// A number that changes when a byte of a photo's or a mask's file does.
-fn content(views: &[RawView]) -> Result<u64> {
-    // The sides of a panorama have one file.
-    let files = views
-        .iter()
-        .filter(|v| matches!(v.side, None | Some(Side::Front)));
-    let files: Vec<&PathBuf> = files
-        .flat_map(|v| std::iter::once(&v.file).chain(&v.mask))
-        .collect();
-    let each = |file: &&PathBuf| match std::fs::read(file) {
-        Ok(bytes) => Ok(digest(&bytes).to_le_bytes()),
-        Err(error) => Err(Error::io(file, error)),
-    };
-    let digests: Vec<[u8; 8]> = files.par_iter().map(each).collect::<Result<_>>()?;
-    Ok(digest(&digests.concat()))
 }
 
 /// Takes the views of a dataset: those to train on, held-out ones, and the names of outliers, which are in neither list. The

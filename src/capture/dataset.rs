@@ -6,6 +6,7 @@ use glam::DVec3;
 
 use crate::base::hash::Fnv;
 use crate::capture::camera::Camera;
+use crate::capture::digests::Digests;
 use crate::capture::frame::Frame;
 use crate::capture::lens::Lens;
 use crate::capture::photo::Alpha;
@@ -99,8 +100,8 @@ pub struct Dataset {
     pub masked_out: Vec<String>,
     /// Bytes that photos decoded on demand may take on the device at one time; no limit to those in memory.
     pub image_budget: u64,
-    /// A number that changes when a byte of a photo's or a mask's file does; `None` unless it was asked for.
-    pub files: Option<u64>,
+    /// Digests of the files that it was read from; `None` unless they were asked for.
+    pub digests: Option<Digests>,
 }
 
 /// Length of the mean of the cameras' unit vectors upwards from which on there is such a thing as up.
@@ -253,8 +254,8 @@ pub struct LoadOptions {
     pub invert_masks: bool,
     /// Photos that are needed.
     pub photos: Needed,
-    /// True if the files of photos and masks are to be read for [`Dataset::files`].
-    pub compared: bool,
+    /// True if the files of photos and masks are to be read as a whole for [`Dataset::digests`].
+    pub digests: bool,
     /// Called whenever a photo has been read, from any thread, with how many have been and how many there are.
     pub progress: Option<fn(usize, usize)>,
 }
@@ -270,7 +271,7 @@ impl Default for LoadOptions {
             alpha_is_mask: false,
             invert_masks: false,
             photos: Needed::All,
-            compared: false,
+            digests: false,
             progress: None,
         }
     }

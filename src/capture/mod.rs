@@ -6,6 +6,7 @@ pub mod camera;
 pub mod cells;
 pub mod colmap;
 mod dataset;
+mod digests;
 mod endings;
 mod exports;
 pub mod frame;
@@ -25,6 +26,7 @@ mod up;
 pub use crate::capture::archive::{Temporary, is_archive, remove_temporary};
 pub use crate::capture::camera::Camera;
 pub use crate::capture::dataset::{Dataset, Layout, LoadOptions, Needed, View};
+pub use crate::capture::digests::Digests;
 pub use crate::capture::frame::Frame;
 pub use crate::capture::lens::{Lens, Undistortion};
 #[doc(hidden)]

@@ -9,8 +9,8 @@ use image::ImageDecoder;
 use rayon::prelude::*;
 
 use crate::base::error::{Error, Result};
-use crate::base::hash::Fnv;
 use crate::capture::archive::Unpacked;
+use crate::capture::digests::digest;
 use crate::capture::lens::Undistortion;
 use crate::capture::memory::check_memory;
 pub use crate::capture::memory::parse_available;
@@ -94,26 +94,10 @@ pub struct PhotoFile {
     height: u32,
     /// Alpha plane of the photo: at first as its header has it, then as all photos of the dataset do.
     alpha: Alpha,
-    /// [`digest`] of the photo's mask, of an all-white one if it has none.
+    /// [`digest()`] of the photo's mask, of an all-white one if it has none.
     mask_digest: u64,
     /// The folder of an archive that the file is in.
     unpacked: Option<Arc<Unpacked>>,
-}
-
-/// A number that changes when a byte does: FNV-1a over words of eight bytes, with the upper half mixed into the lower one.
-pub(super) fn digest(bytes: &[u8]) -> u64 {
-    let mut hash = Fnv::default();
-    let mut take = |word| {
-        hash.word(word);
-        hash.0 ^= hash.0 >> 32;
-    };
-    let words = bytes.chunks_exact(8);
-    let rest = words.remainder();
-    for word in words {
-        take(word.iter().fold(0, |sum, b| sum << 8 | u64::from(*b)));
-    }
-    rest.iter().for_each(|b| take(u64::from(*b)));
-    hash.0
 }
 
 impl From<Photo> for PhotoSource {

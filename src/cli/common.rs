@@ -17,8 +17,8 @@ pub struct Common {
 /// Options of the commands that use a device.
 #[derive(clap::Args)]
 pub struct DeviceOption {
-    /// OpenCL device: index, part of its name, or cpu, gpu, accelerator, or local-rank, the one with this process's number on its node
-    /// (also MHSPLAT_DEVICE); train takes several, such as 0,1, or parts of a CPU, such as cpu/2.
+    /// OpenCL device: index, part of its name, or cpu, gpu, accelerator, or local-rank, of those like the default one in turn by this process's
+    /// number on its node, as several processes take them unless told otherwise (also MHSPLAT_DEVICE); train takes several, such as 0,1, or parts of a CPU, such as cpu/2.
     #[arg(long, value_name = "SEL", display_order = 901)]
     device: Option<String>,
     /// Cores that are taken, by a device that is a CPU and beside it (default: those that the process may use).
@@ -44,7 +44,7 @@ impl DeviceOption {
         self.open_other(self.selector().as_deref())
     }
 
-    /// Opens the device of one of several processes: without a selector the one with its number on its node.
+    /// Opens the device of one of several processes, without a selector that of its number on its node.
     pub fn open_own(&self) -> Result<Device> {
         let selector = self.selector();
         self.open_other(selector.as_deref().or(Some("local-rank")))

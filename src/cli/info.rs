@@ -17,6 +17,7 @@ use mhsplat::config::{Preset, TrainConfig};
 use mhsplat::lab::tune::SizeClass;
 use mhsplat::run::{Clock, PlanRecord, RECORD_FILE, Run, RunRecord, with_points};
 use mhsplat::scene::Plane;
+use mhsplat::scene::formats::Sphere;
 use mhsplat::train::Plan;
 
 /// Shares at which quantiles are given.
@@ -265,8 +266,10 @@ fn of_scene(path: &Path) -> Result<(Value, Vec<String>)> {
         v.clamp(LOG_SCALE[0], LOG_SCALE[1]).exp()
     });
     let (count, degree) = (splats.len(), splats.sh_degree());
+    let sphere = |s: Sphere| json!({ "center": s.center.to_array(), "radius": s.radius });
+    let cameras = file.cameras.map(sphere);
     let document = json!({
-        "path": path, "gaussians": count, "sh_degree": degree, "anti_aliased": file.anti_aliased, "up": file.up, "cameras": file.cameras, "saturated": file.saturated,
+        "path": path, "gaussians": count, "sh_degree": degree, "anti_aliased": file.anti_aliased, "up": file.up, "cameras": cameras, "saturated": file.saturated,
         "quantiles": { "shares": QUANTILES, "x": axes[0], "y": axes[1], "z": axes[2], "opacity": opacity, "scale": scale },
     });
     let words = |values: &[f64]| {
@@ -281,10 +284,8 @@ fn of_scene(path: &Path) -> Result<(Value, Vec<String>)> {
         "{}: {count} Gaussians, SH degree {degree}, {filter}",
         path.display()
     )];
-    if let Some([x, y, z, radius]) = file.cameras {
-        lines.push(format!(
-            "trained with cameras within {radius:.4} of [{x:.4}, {y:.4}, {z:.4}]"
-        ));
+    if let Some(Sphere { center, radius }) = file.cameras {
+        lines.push(format!("cameras: within {radius:.4} of {center:.4}"));
     }
     lines.push("least, 5 %, median, 95 %, largest of".to_owned());
     let rows = [("x", &axes[0]), ("y", &axes[1]), ("z", &axes[2])];

@@ -12,7 +12,7 @@ use mhsplat::base::error::{Error, Result};
 use mhsplat::capture::split::Cells;
 use mhsplat::capture::{Frame, Needed};
 use mhsplat::run::RunRecord;
-use mhsplat::scene::formats::SceneFile;
+use mhsplat::scene::formats::{SceneFile, Sphere};
 use mhsplat::train::reasons::Part;
 
 /// Arguments of `mhsplat merge`.
@@ -83,7 +83,8 @@ pub fn run(args: &MergeArgs, common: &Common) -> Result<Outcome> {
         output::note(&format!("{}: no Gaussian lies in its cell", run.display()));
     }
     whole.up = up.try_normalize().map(|up| up.to_array());
-    whole.cameras = around(&spheres);
+    // Of some cells alone it would leave the others out.
+    whole.cameras = around(&spheres).filter(|_| spheres.len() == runs.len());
     if convention.exposure == Some(true) {
         output::note(
             "the runs compensated exposures, each by itself: brightness may differ between cells",
@@ -116,13 +117,12 @@ pub fn run(args: &MergeArgs, common: &Common) -> Result<Outcome> {
     Ok(Outcome::Done)
 }
 
-/// A sphere around spheres, centre and radius, about the mean of their centres; `None` if there are none.
-fn around(spheres: &[[f64; 4]]) -> Option<[f64; 4]> {
-    let center = |s: &[f64; 4]| DVec3::new(s[0], s[1], s[2]);
-    let mean = spheres.iter().map(center).sum::<DVec3>() / spheres.len().max(1) as f64;
-    let reach = spheres.iter().map(|s| center(s).distance(mean) + s[3]);
+/// A sphere around spheres, about the mean of their centres; `None` if there are none.
+fn around(spheres: &[Sphere]) -> Option<Sphere> {
+    let center = spheres.iter().map(|s| s.center).sum::<DVec3>() / spheres.len().max(1) as f64;
+    let reach = spheres.iter().map(|s| s.center.distance(center) + s.radius);
     let radius = reach.reduce(f64::max)?;
-    Some([mean.x, mean.y, mean.z, radius])
+    Some(Sphere { center, radius })
 }
 
 /// Returns the runs of the cells.

@@ -54,7 +54,7 @@ fn exchange(processes: usize) -> Result<Arc<dyn Exchange>> {
         // Each would lead a training of its own.
         found => {
             let what = format!("{processes} processes were launched, and MPI finds {found}");
-            let fix = "launch them with srun --mpi=pmix (`srun --mpi=list` shows what there is), or with the mpirun of the MPI library that the program was built with";
+            let fix = "launch them with srun --mpi=pmix (`srun --mpi=list` shows what there is), or with the mpirun of the MPI library that the program was built with; to train alone in each, unset SLURM_STEP_NUM_TASKS";
             Err(Error::device("ranks", what, fix))
         }
     }
@@ -75,7 +75,7 @@ fn follow(exchange: &Arc<dyn Exchange>, device: &Device) -> Result<()> {
             // The leader shows it.
             progress: None,
             keepers: launched::on_this_node(),
-            compared: true,
+            digests: true,
             ..scene::load_options(config)
         };
         capture::load(path, &options)

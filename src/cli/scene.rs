@@ -236,7 +236,7 @@ pub fn load_options(config: &TrainConfig) -> LoadOptions {
         alpha_is_mask: config.alpha_is_mask,
         invert_masks: config.invert_masks,
         photos: Needed::All,
-        compared: false,
+        digests: false,
         progress: Some(progress::reading),
     }
 }

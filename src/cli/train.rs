@@ -274,7 +274,7 @@ fn read_photos(dataset: &Path, config: &TrainConfig, helpers: &Helpers) -> Resul
             Helpers::Processes(_) => launched::on_this_node(),
             _ => helpers.ranks(),
         },
-        compared: matches!(helpers, Helpers::Processes(_)),
+        digests: matches!(helpers, Helpers::Processes(_)),
         ..scene::load_options(config)
     };
     let data = capture::load(dataset, &options)?;

@@ -162,14 +162,14 @@ impl Device {
         list.iter().min_by_key(|d| (d.kind, d.index))
     }
 
-    /// The device of the process with this number among those on its node: one of the default's platform and kind, in turn. Another platform may have
-    /// the same hardware again, under another driver.
+    /// The device of the process with this number among those on its node: one of the default's kind, platform and name, in turn. Another platform may
+    /// have the same hardware again under another driver, and a device of another name another speed.
     #[must_use]
     pub fn of_local_rank(list: &[DeviceInfo], rank: usize) -> Option<&DeviceInfo> {
         let default = Self::default_of(list)?;
-        let alike = list
-            .iter()
-            .filter(|d| d.kind == default.kind && d.platform == default.platform);
+        let alike = list.iter().filter(|d| {
+            d.kind == default.kind && d.platform == default.platform && d.name == default.name
+        });
         let alike: Vec<&DeviceInfo> = alike.collect();
         alike.get(rank % alike.len().max(1)).copied()
     }

@@ -2,13 +2,15 @@
 
 use std::path::Path;
 
+use glam::DVec3;
+
 use crate::base::error::Result;
 use crate::capture::{Dataset, Frame};
 use crate::config::SceneFormat;
 use crate::evaluate::Evaluator;
 use crate::run::record::FinalRecord;
 use crate::run::viewer::{self, SCENE_PAGE, ScenePage, SceneView, write_scene_page};
-use crate::scene::formats::{self, SceneFile};
+use crate::scene::formats::{self, SceneFile, Sphere};
 use crate::scene::{Gaussians, ply};
 
 /// The scene files of a run, and what is to be said about them and the one that it began with.
@@ -16,6 +18,7 @@ pub(super) struct Exports {
     /// Position of the local frame in the dataset's own.
     frame: Frame,
     up: Option<[f64; 3]>,
+    cameras: Option<Sphere>,
     /// Cameras of the scene's page, held-out ones first, with their photos from the first export on.
     pub(super) views: Vec<SceneView>,
     /// Sentence about cameras that the page does not list.
@@ -29,9 +32,16 @@ impl Exports {
     /// Exports into the frame of a dataset.
     pub(super) fn new(dataset: &Dataset) -> Self {
         let (views, listed) = viewer::scene_views(dataset);
+        // Cameras in one place say nothing about the size of the local frame's unit.
+        let apart = dataset.views().any(|v| v.camera.center().length() > 0.5);
+        let unit = Sphere {
+            center: DVec3::ZERO,
+            radius: 1.0,
+        };
         Self {
             frame: dataset.frame,
             up: dataset.up().map(|up| up.to_array()),
+            cameras: apart.then_some(unit),
             views,
             listed,
             pictured: None,
@@ -71,10 +81,9 @@ impl Exports {
     }
 
     fn scene(&self, splats: &Gaussians, filter: &[f32]) -> Result<SceneFile> {
-        let (up, Frame { center, scale }) = (self.up, self.frame);
         Ok(SceneFile {
-            up,
-            cameras: Some([center.x, center.y, center.z, scale]),
+            up: self.up,
+            cameras: self.cameras,
             ..SceneFile::trained(splats, filter)?
         })
     }

@@ -19,7 +19,7 @@ use crate::run::drive::Run;
 use crate::run::export::Exports;
 use crate::run::forecast::{Forecast, picture_cost};
 use crate::run::patience;
-use crate::run::rank::beginning;
+use crate::run::rank::{DatasetCopy, beginning};
 use crate::run::record::{RECORD_FILE, RunRecord};
 use crate::run::start;
 use crate::run::table::{DENSITY_FILE, DensityWriter};
@@ -315,8 +315,8 @@ fn trainer(
         Helpers::Devices(_) => dataset.train.clone(),
         _ => Vec::new(),
     };
-    let (path, fingerprint, files) = match device.helpers() {
-        Helpers::Processes(_) => (dataset.path.clone(), dataset.fingerprint(), dataset.files),
+    let (path, copy) = match device.helpers() {
+        Helpers::Processes(_) => (dataset.path.clone(), DatasetCopy::of(&dataset)),
         _ => Default::default(),
     };
     let photos = Photos::new(device, budget);
@@ -329,7 +329,7 @@ fn trainer(
     };
     let mut trainer = Trainer::with_views(train, plan, &splats)?;
     trainer.recruit(device.helpers(), &shared, budget, |trainer| {
-        beginning((&path, fingerprint, files), trainer, splats.sh_degree())
+        beginning((&path, copy), trainer, splats.sh_degree())
     })?;
     Ok((trainer, test))
 }

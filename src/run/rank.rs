@@ -6,7 +6,7 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 
 use crate::base::error::{Error, Result};
-use crate::capture::Dataset;
+use crate::capture::{Dataset, Digests};
 use crate::config::TrainConfig;
 use crate::device::tuning::Tuning;
 use crate::device::{Device, DeviceKind, sources_hash};
@@ -22,8 +22,7 @@ struct Beginning {
     program: String,
     /// The dataset, and what it holds.
     dataset: PathBuf,
-    fingerprint: String,
-    files: Option<u64>,
+    copy: DatasetCopy,
     config: TrainConfig,
     /// Kind and tuning of the leader's device.
     kind: DeviceKind,
@@ -34,6 +33,35 @@ struct Beginning {
     swept: Option<usize>,
     /// Highest SH degree of the first Gaussians.
     sh_degree: u32,
+}
+
+/// Identity of a copy of a dataset.
+#[derive(Debug, Default, Serialize, Deserialize)]
+pub(super) struct DatasetCopy {
+    fingerprint: String,
+    digests: Option<Vec<u64>>,
+}
+
+impl DatasetCopy {
+    /// The identity of this dataset.
+    pub fn of(dataset: &Dataset) -> Self {
+        let digests = dataset.digests.as_ref();
+        Self {
+            fingerprint: dataset.fingerprint(),
+            digests: digests.map(Digests::numbers),
+        }
+    }
+
+    /// The part in which the dataset here is another, in words; `None` if it is the same.
+    fn difference(&self, dataset: &Dataset) -> Option<String> {
+        if dataset.fingerprint() != self.fingerprint {
+            return Some("names, sizes, cameras, lenses, masks or split".to_owned());
+        }
+        match (&dataset.digests, &self.digests) {
+            (Some(own), Some(other)) => own.difference(other),
+            _ => None,
+        }
+    }
 }
 
 fn version() -> String {
@@ -48,7 +76,7 @@ fn version() -> String {
 /// # Errors
 /// A configuration that cannot be written.
 pub(super) fn beginning(
-    (dataset, fingerprint, files): (&Path, String, Option<u64>),
+    (dataset, copy): (&Path, DatasetCopy),
     trainer: &Trainer,
     sh_degree: u32,
 ) -> Result<Vec<u32>> {
@@ -56,8 +84,7 @@ pub(super) fn beginning(
     let text = serde_json::to_string(&Beginning {
         program: version(),
         dataset: std::path::absolute(dataset).unwrap_or_else(|_| dataset.to_path_buf()),
-        fingerprint,
-        files,
+        copy,
         config: plan.config.clone(),
         kind: trainer.device_kind(),
         tuning: trainer.tuning(),
@@ -96,13 +123,9 @@ pub fn serve(
         return Err(wrong(what));
     }
     let dataset = load(&said.dataset, &said.config)?;
-    let other = match dataset.fingerprint() == said.fingerprint {
-        true if dataset.files == said.files => None,
-        true => Some("has photos or masks of other bytes here than on the leader's node"),
-        false => Some("is another dataset here than on the leader's node"),
-    };
-    if let Some(what) = other {
-        let fix = "give all nodes one file system, or copies of one dataset";
+    if let Some(other) = said.copy.difference(&dataset) {
+        let what = format!("is not the same here as on the leader's node: {other}");
+        let fix = "give all nodes one file system, or copies of one dataset (rsync -c)";
         return Err(Error::input(&said.dataset, what, fix));
     }
     if let Some(fault) = said.tuning.fault(device.info()) {

@@ -8,7 +8,7 @@ use serde_json::Value;
 use super::{done, mhsplat, room, scratch_dataset, stderr, stdout, text};
 use mhsplat::capture::{Frame, LoadOptions, load};
 use mhsplat::lab::synth::SynthLayout;
-use mhsplat::scene::formats::{self, SceneFile};
+use mhsplat::scene::formats::{self, SceneFile, Sphere};
 use mhsplat::scene::{Gaussians, Plane, ply};
 
 /// A scene of 20 Gaussians along the x axis, the last of which is as good as invisible.
@@ -184,10 +184,13 @@ fn a_run_exports_what_is_asked_for() {
     let own = read(&run.join("scene.ply"));
     assert!(own.up.is_some() && own.anti_aliased);
     let frame = load(&data, &LoadOptions::default()).unwrap().frame;
-    let [x, y, z] = frame.center.to_array();
-    assert_eq!(own.cameras, Some([x, y, z, frame.scale]));
+    let (center, radius) = (frame.center, frame.scale);
+    assert_eq!(own.cameras, Some(Sphere { center, radius }));
     let told = done(&["info", text(&run.join("scene.ply"))]);
-    assert!(told.contains("trained with cameras within"), "{told}");
+    assert!(told.contains("cameras: within"), "{told}");
+    let json = done(&["info", text(&run.join("scene.ply")), "--json"]);
+    let json: Value = serde_json::from_str(&json).unwrap();
+    assert_eq!(json["cameras"]["radius"], radius);
     for (name, marked) in [
         ("scene.spz", true),
         ("scene.compressed.ply", true),

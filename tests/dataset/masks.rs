@@ -176,38 +176,6 @@ fn a_fingerprint_tells_masks_apart_by_what_is_in_them() {
     assert_eq!(first, within(None));
 }
 
-/// Copies of a dataset are the same if every file of a photo or mask is, to the byte; the fingerprint does not see colours.
-#[test]
-fn files_of_photos_and_masks_are_compared_to_the_byte() {
-    let dir = scene_with("v 00.png", [16, 12]);
-    let now = |compared| {
-        let options = LoadOptions {
-            compared,
-            ..LoadOptions::default()
-        };
-        let data = load(dir.path(), &options).unwrap();
-        (data.files, data.fingerprint())
-    };
-    assert_eq!(now(false).0, None);
-    let (first, fingerprint) = now(true);
-    let mut seen = vec![first];
-    let mut changed = |file: &str| {
-        let file = dir.path().join(file);
-        let before = fs::read(&file).unwrap();
-        // After the end of the image: the same pixels.
-        fs::write(&file, [&before[..], &[0]].concat()).unwrap();
-        let (files, same) = now(true);
-        assert!(files.is_some() && !seen.contains(&files), "{seen:?}");
-        assert_eq!(same, fingerprint);
-        seen.push(files);
-        fs::write(&file, before).unwrap();
-    };
-    changed("images/v 00.png");
-    changed("images/v 01.png");
-    changed("masks/v 00.png");
-    assert_eq!(now(true).0, first);
-}
-
 /// A run goes on with its own masks alone, and runs with others are not compared.
 #[test]
 fn a_run_with_other_masks_is_not_gone_on_with() {

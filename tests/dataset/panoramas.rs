@@ -396,7 +396,14 @@ fn masks_are_cut_with_the_panoramas() {
     let below = |_, y| image::Luma([if y < rows { 255 } else { 0_u8 }]);
     let mask = image::GrayImage::from_fn(2 * HEIGHT, HEIGHT, below);
     mask.save(dir.path().join("masks").join(name(3))).unwrap();
-    let data = load_every(dir.path(), 0).unwrap();
+    let options = LoadOptions {
+        test_every: 0,
+        digests: true,
+        ..LoadOptions::default()
+    };
+    let data = load(dir.path(), &options).unwrap();
+    // Each file once, not for each side.
+    assert_eq!(data.digests.unwrap().files.len(), COUNT + 1);
     assert_eq!(data.masked_out, ["pano 3_down.png"]);
     assert_eq!(data.train.len(), 6 * COUNT - 1);
     for view in &data.train {

@@ -105,7 +105,7 @@ pub fn dataset(cameras: &[Camera]) -> Dataset {
         outliers: Vec::new(),
         masked_out: Vec::new(),
         image_budget: u64::MAX,
-        files: None,
+        digests: None,
     }
 }
 

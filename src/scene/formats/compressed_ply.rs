@@ -131,7 +131,7 @@ pub(super) fn read(path: &Path, content: &Content, frame: &Frame) -> Result<Scen
     Ok(SceneFile {
         anti_aliased: marks.anti_aliased,
         up: marks.up,
-        cameras: marks.cameras,
+        cameras: marks.cameras.map(|sphere| sphere.in_local(frame)),
         ..SceneFile::new(localized(path, degree, planes, frame)?)
     })
 }
@@ -254,7 +254,10 @@ pub(super) fn encode(scene: &SceneFile) -> (Vec<u8>, Vec<String>) {
 
 fn header(scene: &SceneFile) -> String {
     let (n, degree) = (scene.splats.len(), scene.splats.sh_degree());
-    let mut text = format!("ply\nformat binary_little_endian 1.0\n{}", comments(scene));
+    let mut text = format!(
+        "ply\nformat binary_little_endian 1.0\n{}",
+        comments(scene, scene.cameras)
+    );
     let mut element = |name: &str, count: usize, scalar: &str, columns: &[String]| {
         let _ = writeln!(text, "element {name} {count}");
         for column in columns {

@@ -4,10 +4,10 @@
 //! |---|---|---|
 //! | `ply.rs` | `.ply` | everything |
 //! | `compressed_ply.rs` | `.compressed.ply` | everything, rounded |
-//! | `spz.rs` | `.spz` | everything but the direction up, rounded |
-//! | `splat.rs` | `.splat` | no view-dependent colour, no mark of anti-aliasing, no direction up; rounded |
-//! | `glb.rs` | `.glb` | everything |
-//! | `sog.rs` | `.sog`, read alone | everything but the direction up, rounded |
+//! | `spz.rs` | `.spz` | everything but the direction up and the cameras' sphere, rounded |
+//! | `splat.rs` | `.splat` | no view-dependent colour, no mark of anti-aliasing, no direction up, no sphere; rounded |
+//! | `glb.rs` | `.glb` | everything but the cameras' sphere |
+//! | `sog.rs` | `.sog`, read alone | everything but the direction up and the cameras' sphere, rounded |
 //!
 //! How far they round is in `docs/guide/viewing.md`.
 
@@ -29,7 +29,7 @@ use crate::base::ply::Content;
 use crate::capture::Frame;
 use crate::config::SceneFormat;
 
-pub use crate::scene::formats::scene_file::{Contents, SceneFile};
+pub use crate::scene::formats::scene_file::{Contents, SceneFile, Sphere};
 use crate::scene::formats::spz::Packing;
 
 /// Share of the scene's extent, a radius of the cameras: half a pixel of a photo of 2000 that shows it.
@@ -162,6 +162,7 @@ pub fn write(
     }
     let scene = SceneFile {
         splats: scene_file::in_dataset(&scene.splats, frame)?,
+        cameras: scene.cameras.map(|sphere| sphere.in_dataset(frame)),
         ..scene.clone()
     };
     let (bytes, remarks) = match format {

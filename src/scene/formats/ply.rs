@@ -12,7 +12,7 @@ use glam::DVec3;
 use crate::base::error::{Error, Result};
 use crate::base::ply::{self as table, Content, Kind, Table};
 use crate::capture::{Frame, Points};
-use crate::scene::formats::scene_file::{Contents, SATURATED, SceneFile};
+use crate::scene::formats::scene_file::{Contents, SATURATED, SceneFile, Sphere};
 use crate::scene::gaussians::{Gaussians, Plane, sh_coefficients};
 
 /// The kind of file that this module writes.
@@ -72,19 +72,22 @@ pub fn write_scene(path: &Path, scene: &SceneFile, frame: &Frame) -> Result<()> 
     let names = property_names(splats.sh_degree());
     let properties = names.iter().map(|name| ("float", name.as_str()));
     let rows = to_rows(splats, frame, &names)?;
-    table::write(path, &comments(scene), splats.len(), properties, |out| {
+    let cameras = scene.cameras.map(|sphere| sphere.in_dataset(frame));
+    let comments = comments(scene, cameras);
+    table::write(path, &comments, splats.len(), properties, |out| {
         rows.iter()
             .try_for_each(|v| out.write_all(&v.to_le_bytes()))
     })
 }
 
-/// The comment lines on a scene.
-pub(super) fn comments(scene: &SceneFile) -> String {
+/// The comment lines on a scene with its cameras within this sphere of the dataset's frame.
+pub(super) fn comments(scene: &SceneFile, cameras: Option<Sphere>) -> String {
     let mut lines = String::new();
     if let Some([x, y, z]) = scene.up {
         lines += &format!("comment {UP} {x:.5} {y:.5} {z:.5}\n");
     }
-    if let Some([x, y, z, radius]) = scene.cameras {
+    if let Some(Sphere { center, radius }) = cameras {
+        let [x, y, z] = center.to_array();
         lines += &format!("comment {CAMERAS} {x} {y} {z} {radius}\n");
     }
     if scene.anti_aliased {
@@ -103,7 +106,8 @@ pub(super) fn is_anti_aliased(path: &Path) -> bool {
 pub(super) struct Marks {
     pub(super) anti_aliased: bool,
     pub(super) up: Option<[f64; 3]>,
-    pub(super) cameras: Option<[f64; 4]>,
+    /// In the dataset's frame.
+    pub(super) cameras: Option<Sphere>,
 }
 
 /// The marks among the comments of a header: our own counts before the others'.
@@ -143,11 +147,16 @@ pub(super) fn marks(path: &Path, comments: &[String]) -> Result<Marks> {
         let direction = DVec3::from(up).try_normalize();
         direction.map(|up| up.to_array())
     });
-    let cameras = numbers(CAMERAS).and_then(|sphere| <[f64; 4]>::try_from(sphere).ok());
+    let cameras = numbers(CAMERAS).and_then(|sphere| {
+        let [x, y, z, radius]: [f64; 4] = sphere.try_into().ok()?;
+        let center = DVec3::new(x, y, z);
+        let real = center.is_finite() && radius.is_finite() && radius > 0.0;
+        real.then_some(Sphere { center, radius })
+    });
     Ok(Marks {
         anti_aliased: own.is_some() || mip || flag,
         up,
-        cameras: cameras.filter(|c| c.iter().all(|v| v.is_finite()) && c[3] > 0.0),
+        cameras,
     })
 }
 
@@ -289,7 +298,7 @@ fn from_table(path: &Path, table: &Table, frame: &Frame) -> Result<SceneFile> {
     Ok(SceneFile {
         anti_aliased: marks.anti_aliased || filtered,
         up: marks.up,
-        cameras: marks.cameras,
+        cameras: marks.cameras.map(|sphere| sphere.in_local(frame)),
         saturated,
         remarks,
         ..SceneFile::new(splats)

@@ -13,6 +13,33 @@ use crate::scene::gaussians::{Gaussians, Plane};
 /// tells from these.
 pub(super) const SATURATED: f64 = 15.0;
 
+/// A sphere in the frame of the scene that it belongs to.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Sphere {
+    /// Its centre.
+    pub center: DVec3,
+    /// Its radius, > 0.
+    pub radius: f64,
+}
+
+impl Sphere {
+    /// The sphere in the dataset's frame, of one in the local frame.
+    pub(super) fn in_dataset(self, frame: &Frame) -> Self {
+        Self {
+            center: frame.to_dataset(self.center),
+            radius: self.radius * frame.scale,
+        }
+    }
+
+    /// The sphere in the local frame, of one in the dataset's.
+    pub(super) fn in_local(self, frame: &Frame) -> Self {
+        Self {
+            center: frame.to_local(self.center),
+            radius: self.radius / frame.scale,
+        }
+    }
+}
+
 /// A scene as its file holds it, in the local frame.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SceneFile {
@@ -23,9 +50,8 @@ pub struct SceneFile {
     pub anti_aliased: bool,
     /// Direction away from the ground, if the file or the capture tells.
     pub up: Option<[f64; 3]>,
-    /// Centre and radius of the cameras that it was trained with, in the units of the file, if that or the capture tells. Gaussians may lie hundreds
-    /// of radii away.
-    pub cameras: Option<[f64; 4]>,
+    /// A sphere that holds the cameras of its capture, if the file or the capture tells. Gaussians may lie hundreds of radii away.
+    pub cameras: Option<Sphere>,
     /// Number of opacities of exactly 0 or 1 (infinite logits), which are read as nearly that; where the format knows logits.
     pub saturated: usize,
     /// Things that a reader left out or changed beside those.
