@@ -104,6 +104,9 @@ pub struct Dataset {
     pub digests: Option<Digests>,
 }
 
+/// Parts of a dataset that its [`Dataset::fingerprint`] is of, in words.
+pub(crate) const FINGERPRINTED: &str = "names, sizes, cameras, lenses, masks or split";
+
 /// Length of the mean of the cameras' unit vectors upwards from which on there is such a thing as up.
 const SHARED_UP: f64 = 0.3;
 
@@ -196,7 +199,7 @@ impl Dataset {
     pub(crate) fn not_that_of(&self, run: &Path) -> String {
         let run = run.display();
         format!(
-            "its views are not those of {run}: names, sizes, cameras, lenses, masks or split differ (or an earlier version began it)"
+            "its views are not those of {run}: {FINGERPRINTED} differ (or an earlier version began it)"
         )
     }
 

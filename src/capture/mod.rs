@@ -25,6 +25,7 @@ mod up;
 
 pub use crate::capture::archive::{Temporary, is_archive, remove_temporary};
 pub use crate::capture::camera::Camera;
+pub(crate) use crate::capture::dataset::FINGERPRINTED;
 pub use crate::capture::dataset::{Dataset, Layout, LoadOptions, Needed, View};
 pub use crate::capture::digests::Digests;
 pub use crate::capture::frame::Frame;

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 
 use crate::base::error::{Error, Result};
-use crate::capture::{Dataset, Digests};
+use crate::capture::{Dataset, Digests, FINGERPRINTED};
 use crate::config::TrainConfig;
 use crate::device::tuning::Tuning;
 use crate::device::{Device, DeviceKind, sources_hash};
@@ -55,7 +55,7 @@ impl DatasetCopy {
     /// The part in which the dataset here is another, in words; `None` if it is the same.
     fn difference(&self, dataset: &Dataset) -> Option<String> {
         if dataset.fingerprint() != self.fingerprint {
-            return Some("names, sizes, cameras, lenses, masks or split".to_owned());
+            return Some(FINGERPRINTED.to_owned());
         }
         match (&dataset.digests, &self.digests) {
             (Some(own), Some(other)) => own.difference(other),
