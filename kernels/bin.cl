@@ -2,6 +2,7 @@
 // counting sort: pairs are counted by chunk of Gaussians and tile, the sort stage turns the counts into places, and every pair goes
 // straight to its own; no key of a pair is stored. Elsewhere the pairs are written in depth order, the sort stage sorts them by tile,
 // and bin_ranges looks up where tiles begin.
+#include "ahead.clh"
 #include "chunks.clh"
 
 // The minimum over the tile's pixel centres' rectangle of the record's quadratic form, against its reach: exact for a
@@ -310,7 +311,11 @@ static inline void walk_chunk(uint chunk, uint chunks, __global const Projected 
   for (uint j = first; j < last; j++) {
     const uint box = cover[2 * j + 1];
     pairs.owner = visible[j];
-    if (pairs.order) pairs.slot = isect_start[pairs.owner];
+    if (pairs.order) {
+      pairs.slot = isect_start[pairs.owner];
+      if (j + 32 < last) ASK_FOR(isect_start + visible[j + 32]);
+      if (j + 16 < last) ASK_FOR_TO_WRITE(pairs.isect_owner + isect_start[visible[j + 16]]);
+    }
     if (box) {
       walk_box(cover[2 * j], box, tiles_x, &pairs);
     } else {
@@ -337,6 +342,10 @@ __kernel void bin_count(WALK_ARGUMENTS
   const uint n = min((uint)SPLAT_BATCH, visible_count - first);
   Projected staged[SPLAT_BATCH];
   for (uint j = 0; j < n; j++) staged[j] = records[visible[first + j]];
+  for (uint next = first + n; next < min(first + n + (uint)SPLAT_BATCH, visible_count); next++) {
+    ASK_FOR_RECORD(records + visible[next]);
+    ASK_FOR_TO_WRITE(isect_counts + visible[next]);
+  }
   for (uint j = 0; j < n; j++) {
     const Projected *g = &staged[j];
     uint mask;

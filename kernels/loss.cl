@@ -8,6 +8,7 @@
 // masked, or clear in the photo and without pairs in the render: render and photo are the same there, the derivatives of SSIM
 // with respect to x, x^2 and x y cancel, and zeros in the maps are right for neighbours. Pixels of other tiles have the same
 // gradient, to the bit. Source: [MH] Eq. 4; SSIM of Wang et al. 2004; gradient through three maps as in fused-ssim.
+#include "ahead.clh"
 #include "chunks.clh"
 #include "lanes.clh"
 
@@ -278,6 +279,9 @@ CHUNK_KERNEL void loss_forward(FORWARD_ARGUMENTS, int write_error) {
     if (!in_reach(active, j)) continue;
 #endif
     const int x = x0 + (j - HALO) * VW;
+    // Rows that the strips above have not read, eight cache lines further on.
+    for (int r = 2 * RADIUS; r < REACH; r++)
+      ASK_FOR(image + channel * plane + (long)(y0 - RADIUS + r) * stride + x + 8 * (int)LINE);
     realV a[REACH], b[REACH], squares[REACH], products[REACH], out[LOSS_ROWS];
     for (int r = 0; r < REACH; r++) {
       a[r] = render_at(&s, x, y0 - RADIUS + r);
@@ -346,6 +350,8 @@ CHUNK_KERNEL void loss_backward(BACKWARD_ARGUMENTS) {
 #if SKIP_BLANK
       if (!in_reach(active, j)) continue;
 #endif
+      for (int r = 2 * RADIUS; r < REACH; r++)
+        ASK_FOR(maps + m * plane + (long)(y0 - RADIUS + r) * stride + x0 + (j - HALO) * VW + 8 * (int)LINE);
       realV in[REACH], out[LOSS_ROWS];
       for (int r = 0; r < REACH; r++) {
         const int x = x0 + (j - HALO) * VW, y = y0 - RADIUS + r; // a vector of a padded row is in it or not

@@ -1,6 +1,7 @@
 // project: raw Gaussians -> records of one camera.
 // Launch: one work-item per VW Gaussians. Culled (behind the near plane, outside the image, below the alpha cut, any
 // non-finite value): key KEY_CULLED, no record. Source: 3DGS image formation in numerically stable forms; the definition in f64 is that of the textbook.
+#include "ahead.clh"
 #include "projection.clh"
 
 // Colour from SH coefficients: max(0, sum + 1/2); off where that is broken.
@@ -76,6 +77,7 @@ __kernel void project(__global const real *params,   // in [planes, stride] raw 
     keys[i + l] = KEY_CULLED;
     isect_counts[i + l] = 0;
   }
+  for (int k = 0; k < P_ROTATION; k++) ASK_FOR(params + (size_t)k * stride + i + 2 * LINE);
   realV x[3], ls[3], q[4];
   for (int k = 0; k < 3; k++) {
     x[k] = PLANE(params, P_POSITION + k);
@@ -91,6 +93,8 @@ __kernel void project(__global const real *params,   // in [planes, stride] raw 
 #if CULL_CHUNKS
   if (!any_lane(may_be_seen(&cam, x, ls, sigma))) return;
 #endif
+  // Neighbours are seen together, mostly.
+  for (int k = P_ROTATION; k < P_SH + 3 * SH_COUNT; k++) ASK_FOR(params + (size_t)k * stride + i + 2 * LINE);
   realV lo = -softplus(-PLANE(params, P_OPACITY)) * R(1.4426950408889634);
   for (int k = 0; k < 4; k++) q[k] = PLANE(params, P_ROTATION + k);
   maskV seen = shape_of(&cam, x, ls, q, &o);

@@ -4,6 +4,7 @@
 // those of large ones in the group style by large_sums. Source: chain rule through M = J W R S (see projection.clh),
 // [MH] Eq. 4 for the regularisers.
 #include "adam.clh"
+#include "ahead.clh"
 #include "chunks.clh"
 #include "projection.clh"
 
@@ -362,13 +363,20 @@ __kernel void project_step(__global real *params, uint stride, uint count, // in
     const Out out = {grads, UPDATE_RUN, at, 0};
     gaussian_grads(&in, first + at, &out);
   }
-  for (uint plane = 0; plane < P_SH + 3 * SH_COUNT; plane++)
+  for (uint plane = 0; plane < P_SH + 3 * SH_COUNT; plane++) {
+    for (uint at = 0; at < UPDATE_RUN; at += LINE) { // parameters of the next run, moments of this one
+      const size_t moment = (size_t)(plane + 4) * stride + first + at;
+      ASK_FOR(params + (size_t)plane * stride + first + UPDATE_RUN + at);
+      ASK_FOR_TO_WRITE(moment1 + moment);
+      ASK_FOR_TO_WRITE(moment2 + moment);
+    }
     for (uint at = 0; at < UPDATE_RUN; at += VW) {
       const uint i = first + at;
       Moments had;
       adam_moments(&adam, plane, i, &had);
       bad += adam_step(&adam, RATE(plane), plane, i, PLANE(params, plane), &had, vload_real(0, grads + plane * UPDATE_RUN + at));
     }
+  }
 #endif
   count_bad(bad, status);
 }

@@ -23,6 +23,7 @@ use crate::device::seat::Seat;
 /// Headers by name; the first is a part of every stage, the others are where a stage or a header includes them.
 const HEADERS: &[(&str, &str)] = &[
     ("common.clh", include_str!("../../kernels/common.clh")),
+    ("ahead.clh", include_str!("../../kernels/ahead.clh")),
     ("lanes.clh", include_str!("../../kernels/lanes.clh")),
     ("chunks.clh", include_str!("../../kernels/chunks.clh")),
     ("gaussians.clh", include_str!("../../kernels/gaussians.clh")),
