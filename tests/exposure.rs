@@ -149,34 +149,38 @@ fn altered_photos_are_learned_better_and_their_gains_found() {
     assert!(on >= off + 1.0, "{on} {off}");
 }
 
-/// The record of a run of 500 iterations with everything left open, and the seconds of iteration 301 that the training clock stood.
-fn decided(data: Dataset) -> (RunRecord, f64) {
+/// The record of a run of 500 iterations with everything left open, and the seconds that the training clock stood: in iteration 301, and in
+/// the others (median).
+fn decided(data: Dataset) -> (RunRecord, [f64; 2]) {
     let folder = tempfile::tempdir().unwrap();
     let device = Device::open(None).unwrap();
     let mut config = config(500, ExposureChoice::Auto);
     config.eval_every = Some(0);
     let clock = Clock::start();
     let mut run = Run::start(folder.path(), data, config, &device, clock).unwrap();
-    let (mut before, mut stood) = ((Instant::now(), 0.0), 0.0);
+    let (mut before, mut deciding, mut others) = ((Instant::now(), 0.0), 0.0, Vec::new());
     let clocks = |p: &Progress| {
         let now = (Instant::now(), p.train_seconds);
-        if p.iteration == 301 {
-            stood = (now.0 - before.0).as_secs_f64() - (now.1 - before.1);
+        let stood = (now.0 - before.0).as_secs_f64() - (now.1 - before.1);
+        match p.iteration {
+            301 => deciding = stood,
+            _ => others.push(stood),
         }
         before = now;
     };
     run.drive(&AtomicBool::new(false), clocks).unwrap();
     let read = RunRecord::read(folder.path()).unwrap();
     assert_eq!(read.plan, run.record().plan);
-    (read, stood)
+    others.sort_by(f64::total_cmp);
+    (read, [deciding, others[others.len() / 2]])
 }
 
 #[test]
 fn it_is_switched_on_where_brightness_varies_and_nowhere_else() {
-    let (record, stood) = decided(altered(96, MILD).0);
-    // Its kernels are compiled before that iteration.
-    println!("the training clock stood for {stood:.4} s");
-    assert!(stood > 1e-3, "{stood}");
+    let (record, [stood, other]) = decided(altered(96, MILD).0);
+    // Its kernels are built before that iteration: half a millisecond where another test has built them on this device.
+    println!("the training clock stood for {stood:.6} s, else {other:.6} s");
+    assert!(stood > f64::max(1e-5, 5.0 * other), "{stood} {other}");
     let find = |list: &[mhsplat::run::Item]| {
         let mut items = list.iter().filter(|i| i.what == "per-image exposure");
         (items.next().map(|i| i.why.clone()), items.count())
