@@ -313,8 +313,9 @@ static inline void walk_chunk(uint chunk, uint chunks, __global const Projected 
     pairs.owner = visible[j];
     if (pairs.order) {
       pairs.slot = isect_start[pairs.owner];
-      if (j + 32 < last) ASK_FOR(isect_start + visible[j + 32]);
-      if (j + 16 < last) ASK_FOR_TO_WRITE(pairs.isect_owner + isect_start[visible[j + 16]]);
+      // A first slot is read to ask for its pair's place, and asked for as long before that.
+      if (j + 2 * PAIRS_AHEAD < last) ASK_FOR(isect_start + visible[j + 2 * PAIRS_AHEAD]);
+      if (j + PAIRS_AHEAD < last) ASK_FOR_TO_WRITE(pairs.isect_owner + isect_start[visible[j + PAIRS_AHEAD]]);
     }
     if (box) {
       walk_box(cover[2 * j], box, tiles_x, &pairs);
@@ -342,7 +343,8 @@ __kernel void bin_count(WALK_ARGUMENTS
   const uint n = min((uint)SPLAT_BATCH, visible_count - first);
   Projected staged[SPLAT_BATCH];
   for (uint j = 0; j < n; j++) staged[j] = records[visible[first + j]];
-  for (uint next = first + n; next < min(first + n + (uint)SPLAT_BATCH, visible_count); next++) {
+  const uint ahead = first + n, last = ahead + min((uint)SPLAT_BATCH, visible_count - ahead);
+  for (uint next = ahead; next < last; next++) {
     ASK_FOR_RECORD(records + visible[next]);
     ASK_FOR_TO_WRITE(isect_counts + visible[next]);
   }

@@ -279,9 +279,9 @@ CHUNK_KERNEL void loss_forward(FORWARD_ARGUMENTS, int write_error) {
     if (!in_reach(active, j)) continue;
 #endif
     const int x = x0 + (j - HALO) * VW;
-    // Rows that the strips above have not read, eight cache lines further on.
+    // Rows that the strip above has not read.
     for (int r = 2 * RADIUS; r < REACH; r++)
-      ASK_FOR(image + channel * plane + (long)(y0 - RADIUS + r) * stride + x + 8 * (int)LINE);
+      ASK_FOR(image + channel * plane + (long)(y0 - RADIUS + r) * stride + x + ROW_LINES_AHEAD * (int)LINE);
     realV a[REACH], b[REACH], squares[REACH], products[REACH], out[LOSS_ROWS];
     for (int r = 0; r < REACH; r++) {
       a[r] = render_at(&s, x, y0 - RADIUS + r);
@@ -351,7 +351,7 @@ CHUNK_KERNEL void loss_backward(BACKWARD_ARGUMENTS) {
       if (!in_reach(active, j)) continue;
 #endif
       for (int r = 2 * RADIUS; r < REACH; r++)
-        ASK_FOR(maps + m * plane + (long)(y0 - RADIUS + r) * stride + x0 + (j - HALO) * VW + 8 * (int)LINE);
+        ASK_FOR(maps + m * plane + (long)(y0 - RADIUS + r) * stride + x0 + (j - HALO) * VW + ROW_LINES_AHEAD * (int)LINE);
       realV in[REACH], out[LOSS_ROWS];
       for (int r = 0; r < REACH; r++) {
         const int x = x0 + (j - HALO) * VW, y = y0 - RADIUS + r; // a vector of a padded row is in it or not

@@ -77,7 +77,8 @@ __kernel void project(__global const real *params,   // in [planes, stride] raw 
     keys[i + l] = KEY_CULLED;
     isect_counts[i + l] = 0;
   }
-  for (int k = 0; k < P_ROTATION; k++) ASK_FOR(params + (size_t)k * stride + i + 2 * LINE);
+  // First the planes that culling reads.
+  for (int k = 0; k < P_ROTATION; k++) ASK_FOR(params + (size_t)k * stride + i + LINES_AHEAD * LINE);
   realV x[3], ls[3], q[4];
   for (int k = 0; k < 3; k++) {
     x[k] = PLANE(params, P_POSITION + k);
@@ -86,6 +87,7 @@ __kernel void project(__global const real *params,   // in [planes, stride] raw 
   Shape o;
 #if ANTI_ALIAS
   o.sigma = vload_real(0, filter + i);
+  ASK_FOR(filter + i + LINES_AHEAD * LINE);
   const realV sigma = o.sigma;
 #else
   const realV sigma = V(R(0.0));
@@ -94,7 +96,7 @@ __kernel void project(__global const real *params,   // in [planes, stride] raw 
   if (!any_lane(may_be_seen(&cam, x, ls, sigma))) return;
 #endif
   // Neighbours are seen together, mostly.
-  for (int k = P_ROTATION; k < P_SH + 3 * SH_COUNT; k++) ASK_FOR(params + (size_t)k * stride + i + 2 * LINE);
+  for (int k = P_ROTATION; k < P_SH + 3 * SH_COUNT; k++) ASK_FOR(params + (size_t)k * stride + i + LINES_AHEAD * LINE);
   realV lo = -softplus(-PLANE(params, P_OPACITY)) * R(1.4426950408889634);
   for (int k = 0; k < 4; k++) q[k] = PLANE(params, P_ROTATION + k);
   maskV seen = shape_of(&cam, x, ls, q, &o);

@@ -337,6 +337,17 @@ static inline void gaussian_grads(const In *in, uint i, const Out *out) {
 #endif
 #define IN {params, stride, count, FILTER_ARGUMENT cam, isect_start, isect_counts, sums, weight_opacity, weight_scale}
 
+#if TAKE_STEP && UPDATE_RUN != VW
+// Asks for the moments of one plane of UPDATE_RUN Gaussians.
+static inline void ask_for_moments(const Adam *adam, uint plane, uint first) {
+  for (uint at = 0; at < UPDATE_RUN; at += LINE) {
+    const size_t i = (size_t)plane * adam->stride + first + at;
+    ASK_FOR_TO_WRITE(adam->moment1 + i);
+    ASK_FOR_TO_WRITE(adam->moment2 + i);
+  }
+}
+#endif
+
 #if TAKE_STEP
 // Launch: one work-item per UPDATE_RUN Gaussians: VW where a work-item is one of many, more of them where it is a whole core, which
 // reads a plane after the other then, along cache lines. Nothing is changed after a pair overflow: the host repeats the iteration.
@@ -358,18 +369,15 @@ __kernel void project_step(__global real *params, uint stride, uint count, // in
   const Out out = {&adam, first, &bad};
   gaussian_grads(&in, first, &out);
 #else
+  for (uint plane = 0; plane < PLANES_AHEAD; plane++) ask_for_moments(&adam, plane, first);
   real grads[(P_SH + 3 * SH_COUNT) * UPDATE_RUN];
   for (uint at = 0; at < UPDATE_RUN; at += VW) {
     const Out out = {grads, UPDATE_RUN, at, 0};
     gaussian_grads(&in, first + at, &out);
   }
   for (uint plane = 0; plane < P_SH + 3 * SH_COUNT; plane++) {
-    for (uint at = 0; at < UPDATE_RUN; at += LINE) { // parameters of the next run, moments of this one
-      const size_t moment = (size_t)(plane + 4) * stride + first + at;
-      ASK_FOR(params + (size_t)plane * stride + first + UPDATE_RUN + at);
-      ASK_FOR_TO_WRITE(moment1 + moment);
-      ASK_FOR_TO_WRITE(moment2 + moment);
-    }
+    if (plane + PLANES_AHEAD < P_SH + 3 * SH_COUNT) ask_for_moments(&adam, plane + PLANES_AHEAD, first);
+    for (uint at = 0; at < UPDATE_RUN; at += LINE) ASK_FOR(params + (size_t)plane * stride + first + UPDATE_RUN + at); // of the next run
     for (uint at = 0; at < UPDATE_RUN; at += VW) {
       const uint i = first + at;
       Moments had;

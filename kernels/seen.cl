@@ -1,7 +1,6 @@
 // seen: which Gaussians a view shows, where a pixel adds alpha T > 0 of their colour. Only tiles with a Gaussian that no view
 // before has shown are composited, without colours, and no further than the last of these; the decisions are splat's,
 // to the bit. Source: compositing as in splat.cl.
-#include "ahead.clh"
 #include "pixels.clh"
 
 // Launch: as splat. Writes `shown` at the emission slots of the pairs whose Gaussian was not seen before.
@@ -40,7 +39,7 @@ __kernel void seen_pairs(__global const Projected *records, __global const uint 
     if (!any_lane(most >= (realV)T_MIN)) break;
     const uint n = min((uint)SPLAT_BATCH, last - p);
     for (uint j = 0; j < n; j++) staged[j] = records[isect_owner[order[p + j]]];
-    for (uint next = p + n; next < min(p + n + (uint)SPLAT_BATCH, last); next++) ASK_FOR_RECORD(records + isect_owner[order[next]]);
+    ask_for_batch(records, isect_owner, order, p + n, last);
     for (uint j = 0; j < n; j++) {
       const Projected *g = &staged[j];
       const real gx = g->x - (real)tile_x - R(0.5), gy = g->y - (real)tile_y - R(0.5);

@@ -3,7 +3,6 @@
 // A pixel takes contributions while its transmittance is >= T_MIN; alpha is capped at ALPHA_MAX and dropped below the
 // cut. Longer than a function should be: the compositing loop stays in one piece, in registers. Source: 3DGS; block structure and staging measured on CPUs.
 // Images are planar with stride tiles_x*TILE and tiles_y*TILE rows: planes red, green, blue, transmittance.
-#include "ahead.clh"
 #include "pixels.clh"
 
 #if !GROUP_STYLE
@@ -34,7 +33,7 @@ __kernel void splat(__global const Projected *records, __global const uint *isec
     if (!any_lane(most >= (realV)T_MIN)) break;
     const uint n = min((uint)SPLAT_BATCH, end - p);
     for (uint j = 0; j < n; j++) staged[j] = records[isect_owner[order[p + j]]];
-    for (uint next = p + n; next < min(p + n + (uint)SPLAT_BATCH, end); next++) ASK_FOR_RECORD(records + isect_owner[order[next]]);
+    ask_for_batch(records, isect_owner, order, p + n, end);
     for (uint j = 0; j < n; j++) {
       const Projected *g = &staged[j];
       const real gx = g->x - (real)tile_x - R(0.5), gy = g->y - (real)tile_y - R(0.5);

@@ -5,7 +5,6 @@
 // (u, dy are the coordinates in which the record's quadratic form is diagonal: no cancellation for needles).
 // dL/dalpha = T <dL/dC, c> - behind / (1 - alpha), behind = <dL/dC, what is composited after>, kept by subtraction from
 // the final colour (1 - alpha >= 1 - ALPHA_MAX). Source: 3DGS backward; front to back as in Faster-GS.
-#include "ahead.clh"
 #include "pixels.clh"
 
 // Adds one block's contributions. s: the nine sums, d*: dL/dC, T and behind are advanced.
@@ -87,11 +86,11 @@ __kernel void splat_grad(__global const Projected *records, __global const uint 
     for (uint j = 0; j < n; j++) {
       slot[j] = order[p + j];
       staged[j] = records[isect_owner[slot[j]]];
-      __global const real *to = sums + (size_t)slot[j] * SUMS; // as a record, in two lines at most
+      __global const real *to = sums + (size_t)slot[j] * SUMS; // in two lines at most
       ASK_FOR_TO_WRITE(to);
       ASK_FOR_TO_WRITE(to + SUMS - 1);
     }
-    for (uint next = p + n; next < min(p + n + (uint)SPLAT_BATCH, used); next++) ASK_FOR_RECORD(records + isect_owner[order[next]]);
+    ask_for_batch(records, isect_owner, order, p + n, used);
     for (uint j = 0; j < n; j++) {
       const Projected *g = &staged[j];
       const real gx = g->x - (real)tile_x - R(0.5), gy = g->y - (real)tile_y - R(0.5);
