@@ -7,26 +7,15 @@
 
 // The minimum over the tile's pixel centres' rectangle of the record's quadratic form, against its reach: exact for a
 // convex form, whose minimum lies at the mean or on an edge that faces the mean (StopThePop, Speedy-Splat intersect
-// likewise). TILE_SLACK covers f32 rounding: a pair too many costs time, a pair too few costs a pixel.
+// likewise). The minimum along the vertical line, and along the horizontal one, of the rectangle that is nearest to the mean: without
+// branches, half of which would be foretold wrongly. TILE_SLACK covers f32 rounding: a pair too many costs time, a pair too few costs a pixel.
 static inline int touches_tile(const Projected *g, real slope, real reach, int tx, int ty) {
   const real x0 = (real)(tx * TILE) + R(0.5) - g->x, x1 = x0 + (real)(TILE - 1);
   const real y0 = (real)(ty * TILE) + R(0.5) - g->y, y1 = y0 + (real)(TILE - 1);
-  const int right = x0 > R(0.0), left = x1 < R(0.0), below = y0 > R(0.0), above = y1 < R(0.0);
-  if (!(right || left || below || above)) return 1;
-  real q = (real)INFINITY;
-  if (right || left) {
-    const real dx = right ? x0 : x1;
-    const real dy = clamp(slope * dx, y0, y1);
-    const real u = fma(-g->r, dy, dx);
-    q = fma(g->a * u, u, g->c * dy * dy);
-  }
-  if (below || above) {
-    const real dy = below ? y0 : y1;
-    const real dx = clamp(g->r * dy, x0, x1);
-    const real u = fma(-g->r, dy, dx);
-    q = fmin(q, fma(g->a * u, u, g->c * dy * dy));
-  }
-  return q <= reach;
+  const real dx = min(max(x0, R(0.0)), x1), dy = min(max(y0, R(0.0)), y1);
+  const real dy_of_line = min(max(slope * dx, y0), y1), dx_of_line = min(max(g->r * dy, x0), x1);
+  const real u = fma(-g->r, dy_of_line, dx), v = fma(-g->r, dy, dx_of_line);
+  return min(fma(g->a * u, u, g->c * dy_of_line * dy_of_line), fma(g->a * v, v, g->c * dy * dy)) <= reach;
 }
 
 // The tiles of a Gaussian's box, row by row. Up to MASKED of them are remembered as a mask, so that nobody decides again;

@@ -243,6 +243,7 @@ static inline realV window_row(const realV row[VECTORS], int at) {
 #else
   const real *from = (const real *)row + at * VW;
   realV sum = (realV)(WINDOW[RADIUS]) * vload_real(0, from);
+#pragma unroll
   for (int k = 1; k <= RADIUS; k++)
     sum = fma((realV)(WINDOW[RADIUS - k]), vload_real(0, from - k) + vload_real(0, from + k), sum);
   return sum;

@@ -4,15 +4,19 @@
 #include "ahead.clh"
 #include "projection.clh"
 
-// Colour from SH coefficients: max(0, sum + 1/2); off where that is broken.
+// Colour from SH coefficients: max(0, sum + 1/2); off where that is broken. Three sums at once: none waits for the additions of another.
 static inline maskV sh_color(__global const real *params, uint stride, uint i, const realV basis[SH_COUNT],
                              realV rgb[3]) {
   maskV good = V(R(0.0)) == V(R(0.0));
+  realV sum[3];
+  for (int ch = 0; ch < 3; ch++) sum[ch] = V(R(0.5));
+#pragma unroll
+  for (int k = 0; k < SH_COUNT; k++)
+#pragma unroll
+    for (int ch = 0; ch < 3; ch++) sum[ch] = fma(basis[k], PLANE(params, P_SH + 3 * k + ch), sum[ch]);
   for (int ch = 0; ch < 3; ch++) {
-    realV sum = V(R(0.5));
-    for (int k = 0; k < SH_COUNT; k++) sum = fma(basis[k], PLANE(params, P_SH + 3 * k + ch), sum);
-    good &= fabs(sum) < V(COLOR_MAX);
-    rgb[ch] = max(sum, V(R(0.0)));
+    good &= fabs(sum[ch]) < V(COLOR_MAX);
+    rgb[ch] = max(sum[ch], V(R(0.0)));
   }
   return good;
 }
@@ -53,6 +57,7 @@ static inline maskV may_be_seen(const Camera *cam, const realV x[3], const realV
 // Rows of tiles of a Gaussian, for ranks that share a view (route): the first, and the one after the last in the high half.
 static inline uint tile_rows(uint by) { return (uint)BOUND_LO(by) / TILE | ((uint)BOUND_HI(by) / TILE + 1) << 16; }
 
+#if !HAS_ROWS
 // A field of the records of VW Gaussians, lane by lane.
 #define EACH_LANE(field, value)                  \
   do {                                           \
@@ -60,6 +65,7 @@ static inline uint tile_rows(uint by) { return (uint)BOUND_LO(by) / TILE | ((uin
     vstore_real(value, 0, lane);                 \
     for (int l = 0; l < VW; l++) g[l].field = lane[l]; \
   } while (0)
+#endif
 
 __kernel void project(__global const real *params,   // in [planes, stride] raw parameters
                       uint stride, uint count,       // Gaussians allocated (a multiple of VW), Gaussians
@@ -72,11 +78,16 @@ __kernel void project(__global const real *params,   // in [planes, stride] raw 
                       __global uint *isect_counts) {  // out [stride] tile_rows() until bin counts the pairs; 0 where culled
   const uint i = get_global_id(0) * VW;
   if (i >= count) return;
+#if HAS_ROWS
+  vstore_uint((uintV)(KEY_CULLED), 0, keys + i);
+  vstore_uint((uintV)(0), 0, isect_counts + i);
+#else
   const uint n = min((uint)VW, count - i);
   for (uint l = 0; l < n; l++) {
     keys[i + l] = KEY_CULLED;
     isect_counts[i + l] = 0;
   }
+#endif
   // First the planes that culling reads.
   for (int k = 0; k < P_ROTATION; k++) ASK_FOR(params + (size_t)k * stride + i + LINES_AHEAD * LINE);
   realV x[3], ls[3], q[4];
@@ -118,6 +129,19 @@ __kernel void project(__global const real *params,   // in [planes, stride] raw 
   view_direction(&cam, x, dir);
   sh_basis(dir, basis);
   seen &= sh_color(params, stride, i, basis, rgb);
+#if HAS_ROWS
+  // A culled one has a record, too, which nobody reads.
+  const uintV bx = to_uint(x0) | to_uint(x1) << 16, by = to_uint(y0) | to_uint(y1) << 16;
+  __global real *to = (__global real *)(records + i);
+  const uint row = sizeof(Projected) / sizeof(real);
+  store_rows(px, py, a, r, to, row);
+  store_rows(c, lo, rgb[0], rgb[1], to + 4, row);
+  store_rows(rgb[2], o.t[2], real_of(bx), real_of(by), to + 8, row);
+  seen &= LANES < V((real)(count - i));
+  const uintV rows = (by & 0xffffu) / TILE | ((by >> 16) / TILE + 1) << 16; // tile_rows()
+  vstore_uint(select((uintV)(KEY_CULLED), bits_of(o.t[2]), seen), 0, keys + i);
+  vstore_uint(select((uintV)(0), rows, seen), 0, isect_counts + i);
+#else
   Projected g[VW];
   EACH_LANE(x, px);
   EACH_LANE(y, py);
@@ -143,6 +167,7 @@ __kernel void project(__global const real *params,   // in [planes, stride] raw 
     keys[i + l] = as_uint((float)g[l].depth);
     isect_counts[i + l] = tile_rows(g[l].by);
   }
+#endif
 }
 
 // The depth in the place of the colour of each visible Gaussian, so that splat composites depths over the pairs that there are.

@@ -52,10 +52,7 @@ __kernel void seen_pairs(__global const Projected *records, __global const uint 
         for (int bx = x0; bx <= x1; bx++) {
           const int k = by * BLOCKS_X + bx;
           const realV u = px[bx] - line;
-          const realV alpha =
-              min(effective_alpha(LOG2_ALPHA(u, dy, (realV)(g->a), (realV)(g->c), (realV)(g->lo)), T[k]),
-                   (realV)ALPHA_MAX);
-          const realV w = alpha * T[k];
+          const realV w = weight_of(LOG2_ALPHA(u, dy, (realV)(g->a), (realV)(g->c), (realV)(g->lo)), T[k]);
           T[k] -= w;
           sum += w;
         }
@@ -107,8 +104,7 @@ seen_pairs(__global const Projected *records, __global const uint *isect_owner, 
       if (!reaches(g.by, tile_y + y)) continue;
       const real gx = g.x - (real)tile_x - R(0.5), gy = g.y - (real)tile_y - R(0.5);
       const real dy = (real)y - gy, u = (real)x - fma(g.r, dy, gx);
-      const real alpha = min(effective_alpha(LOG2_ALPHA(u, dy, g.a, g.c, g.lo), T), (real)ALPHA_MAX);
-      const real w = alpha * T;
+      const real w = weight_of(LOG2_ALPHA(u, dy, g.a, g.c, g.lo), T);
       T -= w;
       if (w > R(0.0)) hit[j] = 1; // every writer writes the same value
     }

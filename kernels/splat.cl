@@ -45,10 +45,7 @@ __kernel void splat(__global const Projected *records, __global const uint *isec
         for (int bx = x0; bx <= x1; bx++) {
           const int k = by * BLOCKS_X + bx;
           const realV u = px[bx] - line;
-          const realV alpha =
-              min(effective_alpha(LOG2_ALPHA(u, dy, (realV)(g->a), (realV)(g->c), (realV)(g->lo)), T[k]),
-                   (realV)ALPHA_MAX);
-          const realV w = alpha * T[k];
+          const realV w = weight_of(LOG2_ALPHA(u, dy, (realV)(g->a), (realV)(g->c), (realV)(g->lo)), T[k]);
           red[k] = fma(w, (realV)(g->red), red[k]);
           green[k] = fma(w, (realV)(g->green), green[k]);
           blue[k] = fma(w, (realV)(g->blue), blue[k]);
@@ -126,8 +123,7 @@ splat(__global const Projected *records, __global const uint *isect_owner, // in
       for (int k = 0; k < PIXELS; k++)
         if (reaches(g.by, tile_y + y + k * ROW_STEP)) {
           const real dy = (real)(y + k * ROW_STEP) - gy, u = (real)x - fma(g.r, dy, gx);
-          const real alpha = min(effective_alpha(LOG2_ALPHA(u, dy, g.a, g.c, g.lo), T[k]), (real)ALPHA_MAX);
-          const real w = alpha * T[k];
+          const real w = weight_of(LOG2_ALPHA(u, dy, g.a, g.c, g.lo), T[k]);
           red[k] = fma(w, g.red, red[k]);
           green[k] = fma(w, g.green, green[k]);
           blue[k] = fma(w, g.blue, blue[k]);

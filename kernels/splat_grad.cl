@@ -3,54 +3,61 @@
 // and a fixed order. With g = dL/dalpha * alpha (0 where alpha is capped):
 //   0 sum g, 1 sum g u, 2 sum g dy, 3 sum g u^2, 4 sum g u dy, 5 sum g dy^2, 6..8 sum alpha T dL/dcolour
 // (u, dy are the coordinates in which the record's quadratic form is diagonal: no cancellation for needles).
-// dL/dalpha = T <dL/dC, c> - behind / (1 - alpha), behind = <dL/dC, what is composited after>, kept by subtraction from
+// g = alpha T <dL/dC, c> - behind alpha / (1 - alpha), behind = <dL/dC, what is composited after>, kept by subtraction from
 // the final colour (1 - alpha >= 1 - ALPHA_MAX). Source: 3DGS backward; front to back as in Faster-GS.
 #include "pixels.clh"
 
-// Adds one block's contributions. s: the nine sums, d*: dL/dC, T and behind are advanced.
-static inline void grad_block(const Projected *g, realV u, realV dy, realV dred, realV dgreen, realV dblue, realV *T,
-                              realV *behind, realV s[SUMS]) {
-  const realV free_alpha =
-      effective_alpha(LOG2_ALPHA(u, dy, (realV)(g->a), (realV)(g->c), (realV)(g->lo)), *T);
-  const realV alpha = min(free_alpha, (realV)ALPHA_MAX);
-  const realV w = alpha * *T;
+// The first sum's term of each pixel of a block. Adds those of s[3] and of the colours; d*: dL/dC, T and behind are advanced.
+static inline realV grad_block(const Projected *g, realV u, realV dy, realV dred, realV dgreen, realV dblue, realV *T,
+                               realV *behind, realV s[SUMS]) {
+  const realV log2_alpha = LOG2_ALPHA(u, dy, (realV)(g->a), (realV)(g->c), (realV)(g->lo));
+  const realV free_alpha = exp2_negative(log2_alpha), alpha = min(free_alpha, (realV)ALPHA_MAX);
+  const maskV takes = contributes(log2_alpha, *T);
+  const realV w = choose(takes, alpha * *T, (realV)(R(0.0)));
   const realV along = fma(dred, (realV)(g->red), fma(dgreen, (realV)(g->green), dblue * (realV)(g->blue)));
-  *behind = fma(-w, along, *behind);
-  const realV dalpha = *T * along - *behind / ((realV)(R(1.0)) - alpha);
+  const realV own = w * along, odds = alpha / ((realV)(R(1.0)) - alpha);
+  *behind -= own;
   *T -= w;
-  const realV gr = choose(free_alpha < (realV)ALPHA_MAX, dalpha * alpha, (realV)(R(0.0)));
-  const realV gu = gr * u, gy = gr * dy;
-  s[0] += gr;
-  s[1] += gu;
-  s[2] += gy;
-  s[3] = fma(gu, u, s[3]);
-  s[4] = fma(gu, dy, s[4]);
-  s[5] = fma(gy, dy, s[5]);
+  const realV gr = choose(takes & (free_alpha < (realV)ALPHA_MAX), fma(-*behind, odds, own), (realV)(R(0.0)));
+  s[3] = fma(gr * u, u, s[3]);
   s[6] = fma(w, dred, s[6]);
   s[7] = fma(w, dgreen, s[7]);
   s[8] = fma(w, dblue, s[8]);
+  return gr;
+}
+
+// Adds the other sums of pixels with one dy, from their sums of g and g u.
+static inline void grad_row(realV g, realV gu, realV dy, realV s[SUMS]) {
+  const realV gy = g * dy;
+  s[0] += g;
+  s[1] += gu;
+  s[2] += gy;
+  s[4] = fma(gu, dy, s[4]);
+  s[5] = fma(gy, dy, s[5]);
 }
 
 #if !GROUP_STYLE
 // Sums over the lanes of each of the vectors s, written to `out`. Every round adds neighbouring lanes of two vectors into
 // one, so that SUMS sums cost about SUMS additions of vectors instead of SUMS times log2(VW) of shrinking ones.
-static inline void lane_sums(realV s[SUMS], __global real *out) {
+static inline void lane_sums(const realV s[SUMS], __global real *out) {
 #if VW == 1
   for (int q = 0; q < SUMS; q++) out[q] = s[q];
 #else
-  int n = SUMS;
-#pragma unroll
-  for (int width = VW; width > 1; width /= 2) {
-#pragma unroll
-    for (int k = 0; 2 * k < n; k++) {
-      const realV a = s[2 * k], b = s[min(2 * k + 1, n - 1)]; // an odd one is paired with itself; nobody reads that
-      s[k] = (realV)(a.even, b.even) + (realV)(a.odd, b.odd);
-    }
-    n = (n + 1) / 2;
-  }
-  real lane[(SUMS + VW - 1) / VW * VW];
-  for (int k = 0; k < n; k++) vstore_real(s[k], k, lane);
-  for (int q = 0; q < SUMS; q++) out[q] = lane[q];
+  const realV low = ADD_LANES(ADD_LANES(s[0], s[1]), ADD_LANES(s[2], s[3]));
+  const realV high = ADD_LANES(ADD_LANES(s[4], s[5]), ADD_LANES(s[6], s[7]));
+  const realV two = ADD_LANES(s[8], s[8]), ninth = ADD_LANES(two, two);
+#if VW == 4
+  vstore4(low, 0, out);
+  vstore4(high, 1, out);
+  out[8] = ninth.s0;
+#elif VW == 8
+  vstore8(ADD_QUARTERS(low, high), 0, out);
+  out[8] = ninth.s0 + ninth.s4;
+#else
+  const realV eight = ADD_QUARTERS(low, high), one = ADD_QUARTERS(ninth, ninth), all = ADD_QUARTERS(eight, one);
+  vstore8(all.lo, 0, out);
+  out[8] = all.s8;
+#endif
 #endif
 }
 
@@ -98,14 +105,19 @@ __kernel void splat_grad(__global const Projected *records, __global const uint 
       block_range(g->bx, tile_x, BLOCK_W, &x0, &x1);
       block_range(g->by, tile_y, BLOCK_H, &y0, &y1);
       realV s[SUMS];
+#pragma unroll
       for (int q = 0; q < SUMS; q++) s[q] = (realV)(R(0.0));
       for (int by = y0; by <= y1; by++) {
         const realV dy = lane_y + (real)(by * BLOCK_H) - gy, line = fma((realV)(g->r), dy, (realV)(gx));
+        realV row = (realV)(R(0.0)), row_u = (realV)(R(0.0));
         for (int bx = x0; bx <= x1; bx++) {
           const int k = by * BLOCKS_X + bx;
           const realV u = px[bx] - line;
-          grad_block(g, u, dy, dred[k], dgreen[k], dblue[k], &T[k], &behind[k], s);
+          const realV gr = grad_block(g, u, dy, dred[k], dgreen[k], dblue[k], &T[k], &behind[k], s);
+          row += gr;
+          row_u = fma(gr, u, row_u);
         }
+        grad_row(row, row_u, dy, s);
       }
       lane_sums(s, sums + (size_t)slot[j] * SUMS);
     }
@@ -195,8 +207,10 @@ splat_grad(__global const Projected *records, __global const uint *isect_owner, 
         for (int k = 0; k < PIXELS; k++)
           if (beside(g.bx, tile_x + x) && reaches(g.by, tile_y + y + k * ROW_STEP)) {
             const real dy = (real)(y + k * ROW_STEP) - gy, u = (real)x - fma(g.r, dy, gx);
-            if (contributes(LOG2_ALPHA(u, dy, g.a, g.c, g.lo), T[k]))
-              grad_block(&g, u, dy, dred[k], dgreen[k], dblue[k], &T[k], &behind[k], s);
+            if (contributes(LOG2_ALPHA(u, dy, g.a, g.c, g.lo), T[k])) {
+              const real gr = grad_block(&g, u, dy, dred[k], dgreen[k], dblue[k], &T[k], &behind[k], s);
+              grad_row(gr, gr * u, dy, s);
+            }
           }
         for (int q = 0; q < SUMS; q++) ((__local real *)part[j][q])[l] = s[q];
       }
