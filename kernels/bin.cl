@@ -86,7 +86,13 @@ static inline uint walk_tiles(const Projected *g, uint *mask, uint tiles_x, ACTI
   const int ty0 = BOUND_LO(g->by) / TILE, ty1 = BOUND_HI(g->by) / TILE;
   const real slope = slope_of(g), reach = reach_of(g);
   uint n = 0, bits = 0, at = 0;
+#if GROUP_STYLE
+#pragma unroll 1 // gfx90a would take three times the registers
+#endif
   for (int ty = ty0; ty <= ty1; ty++)
+#if GROUP_STYLE
+#pragma unroll 1
+#endif
     for (int tx = tx0; tx <= tx1; tx++, at++)
       if (IS_ACTIVE((uint)ty * tiles_x + (uint)tx) && touches_tile(g, slope, reach, tx, ty)) {
         if (pairs) add_pair(pairs, (uint)ty * tiles_x + (uint)tx);

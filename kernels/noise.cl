@@ -6,10 +6,8 @@
 #include "gaussians.clh"
 
 #if VW == 1
-typedef uint uintV;
 #define TO_REALV(u) ((real)(u))
 #else
-typedef CAT(uint, VW) uintV;
 #define TO_REALV(u) CAT(convert_, CAT(REAL_NAME, VW))(u)
 #endif
 

@@ -1,6 +1,6 @@
 // project: raw Gaussians -> records of one camera.
 // Launch: one work-item per VW Gaussians. Culled (behind the near plane, outside the image, below the alpha cut, any
-// non-finite value): key KEY_CULLED, no record. Source: 3DGS image formation in numerically stable forms; the definition in f64 is that of the textbook.
+// non-finite value): key KEY_CULLED, no record that means anything. Source: 3DGS image formation in numerically stable forms; the definition in f64 is that of the textbook.
 #include "ahead.clh"
 #include "projection.clh"
 
@@ -10,7 +10,9 @@ static inline maskV sh_color(__global const real *params, uint stride, uint i, c
   maskV good = V(R(0.0)) == V(R(0.0));
   realV sum[3];
   for (int ch = 0; ch < 3; ch++) sum[ch] = V(R(0.5));
+#if VW > 1
 #pragma unroll
+#endif
   for (int k = 0; k < SH_COUNT; k++)
 #pragma unroll
     for (int ch = 0; ch < 3; ch++) sum[ch] = fma(basis[k], PLANE(params, P_SH + 3 * k + ch), sum[ch]);
@@ -57,7 +59,45 @@ static inline maskV may_be_seen(const Camera *cam, const realV x[3], const realV
 // Rows of tiles of a Gaussian, for ranks that share a view (route): the first, and the one after the last in the high half.
 static inline uint tile_rows(uint by) { return (uint)BOUND_LO(by) / TILE | ((uint)BOUND_HI(by) / TILE + 1) << 16; }
 
-#if !HAS_ROWS
+// 1: several f32 lanes, whose records are written as rows.
+#define HAS_ROWS (VW > 1 && !REAL_IS_DOUBLE)
+#if HAS_ROWS
+// Lanes k and k + 1 of each group of four of a and b: in turn a, b, a, b; a, a, b, b.
+#if VW == 4
+#define MIX(a, b, k) __builtin_shufflevector(a, b, k, (k) + 4, (k) + 1, (k) + 5)
+#define MIX_PAIRS(a, b, k) __builtin_shufflevector(a, b, k, (k) + 1, (k) + 4, (k) + 5)
+#elif VW == 8
+#define MIX(a, b, k) __builtin_shufflevector(a, b, k, (k) + 8, (k) + 1, (k) + 9, (k) + 4, (k) + 12, (k) + 5, (k) + 13)
+#define MIX_PAIRS(a, b, k) __builtin_shufflevector(a, b, k, (k) + 1, (k) + 8, (k) + 9, (k) + 4, (k) + 5, (k) + 12, (k) + 13)
+#else
+#define MIX(a, b, k)                                                                                                           \
+  __builtin_shufflevector(a, b, k, (k) + 16, (k) + 1, (k) + 17, (k) + 4, (k) + 20, (k) + 5, (k) + 21, (k) + 8, (k) + 24, (k) + 9, \
+                          (k) + 25, (k) + 12, (k) + 28, (k) + 13, (k) + 29)
+#define MIX_PAIRS(a, b, k)                                                                                                     \
+  __builtin_shufflevector(a, b, k, (k) + 1, (k) + 16, (k) + 17, (k) + 4, (k) + 5, (k) + 20, (k) + 21, (k) + 8, (k) + 9, (k) + 24, \
+                          (k) + 25, (k) + 12, (k) + 13, (k) + 28, (k) + 29)
+#endif
+
+// Writes each group of four lanes of v as a piece of a row: that of lane `first`, and of every fourth one after it.
+#if VW == 4
+#define STORE_FOURS(v, first, to, row) vstore4(v, 0, to + (first) * row)
+#elif VW == 8
+#define STORE_FOURS(v, first, to, row) (vstore4((v).lo, 0, to + (first) * row), vstore4((v).hi, 0, to + ((first) + 4) * row))
+#else
+#define STORE_FOURS(v, first, to, row)                                                               \
+  (vstore4((v).lo.lo, 0, to + (first) * row), vstore4((v).lo.hi, 0, to + ((first) + 4) * row),       \
+   vstore4((v).hi.lo, 0, to + ((first) + 8) * row), vstore4((v).hi.hi, 0, to + ((first) + 12) * row))
+#endif
+
+// A piece of the rows of VW lanes: a, b, c and d of lane l go to to[l * row] to to[l * row + 3].
+static inline void store_rows(realV a, realV b, realV c, realV d, __global real *to, uint row) {
+  const realV first = MIX(a, b, 0), second = MIX(a, b, 2), third = MIX(c, d, 0), fourth = MIX(c, d, 2);
+  STORE_FOURS(MIX_PAIRS(first, third, 0), 0, to, row);
+  STORE_FOURS(MIX_PAIRS(first, third, 2), 1, to, row);
+  STORE_FOURS(MIX_PAIRS(second, fourth, 0), 2, to, row);
+  STORE_FOURS(MIX_PAIRS(second, fourth, 2), 3, to, row);
+}
+#else
 // A field of the records of VW Gaussians, lane by lane.
 #define EACH_LANE(field, value)                  \
   do {                                           \
@@ -75,7 +115,7 @@ __kernel void project(__global const real *params,   // in [planes, stride] raw 
                       const Camera cam,              // in camera
                       __global Projected *records,      // out [stride]
                       __global uint *keys,           // out [stride] bits of the f32 depth, or KEY_CULLED
-                      __global uint *isect_counts) {  // out [stride] tile_rows() until bin counts the pairs; 0 where culled
+                      __global uint *isect_counts) {  // out [stride] tile_rows() until bin counts the pairs; 0 where culled. Of each whole vectors are written
   const uint i = get_global_id(0) * VW;
   if (i >= count) return;
 #if HAS_ROWS
@@ -130,7 +170,7 @@ __kernel void project(__global const real *params,   // in [planes, stride] raw 
   sh_basis(dir, basis);
   seen &= sh_color(params, stride, i, basis, rgb);
 #if HAS_ROWS
-  // A culled one has a record, too, which nobody reads.
+  // A culled one has a record, too, which nobody reads, and so have rows beyond the last.
   const uintV bx = to_uint(x0) | to_uint(x1) << 16, by = to_uint(y0) | to_uint(y1) << 16;
   __global real *to = (__global real *)(records + i);
   const uint row = sizeof(Projected) / sizeof(real);

@@ -13,7 +13,7 @@ static inline realV grad_block(const Projected *g, realV u, realV dy, realV dred
   const realV log2_alpha = LOG2_ALPHA(u, dy, (realV)(g->a), (realV)(g->c), (realV)(g->lo));
   const realV free_alpha = exp2_negative(log2_alpha), alpha = min(free_alpha, (realV)ALPHA_MAX);
   const maskV takes = contributes(log2_alpha, *T);
-  const realV w = choose(takes, alpha * *T, (realV)(R(0.0)));
+  const realV w = choose(takes, alpha * *T, (realV)(R(0.0))); // the bits of weight_of()
   const realV along = fma(dred, (realV)(g->red), fma(dgreen, (realV)(g->green), dblue * (realV)(g->blue)));
   const realV own = w * along, odds = alpha / ((realV)(R(1.0)) - alpha);
   *behind -= own;
@@ -37,8 +37,28 @@ static inline void grad_row(realV g, realV gu, realV dy, realV s[SUMS]) {
 }
 
 #if !GROUP_STYLE
-// Sums over the lanes of each of the vectors s, written to `out`. Every round adds neighbouring lanes of two vectors into
-// one, so that SUMS sums cost about SUMS additions of vectors instead of SUMS times log2(VW) of shrinking ones.
+// Sums of neighbouring lanes of a and b, in turn two of a and two of b, and of neighbouring groups of four lanes, half of them of a before those
+// of b. Each takes two shuffles that a processor has; composed vectors take many.
+#if VW == 4
+#define ADD_LANES(a, b) (__builtin_shufflevector(a, b, 0, 2, 4, 6) + __builtin_shufflevector(a, b, 1, 3, 5, 7))
+#elif VW == 8
+#define ADD_LANES(a, b)                                     \
+  (__builtin_shufflevector(a, b, 0, 2, 8, 10, 4, 6, 12, 14) + \
+   __builtin_shufflevector(a, b, 1, 3, 9, 11, 5, 7, 13, 15))
+#define ADD_QUARTERS(a, b)                                  \
+  (__builtin_shufflevector(a, b, 0, 1, 2, 3, 8, 9, 10, 11) +  \
+   __builtin_shufflevector(a, b, 4, 5, 6, 7, 12, 13, 14, 15))
+#elif VW == 16
+#define ADD_LANES(a, b)                                                                             \
+  (__builtin_shufflevector(a, b, 0, 2, 16, 18, 4, 6, 20, 22, 8, 10, 24, 26, 12, 14, 28, 30) +         \
+   __builtin_shufflevector(a, b, 1, 3, 17, 19, 5, 7, 21, 23, 9, 11, 25, 27, 13, 15, 29, 31))
+#define ADD_QUARTERS(a, b)                                                                          \
+  (__builtin_shufflevector(a, b, 0, 1, 2, 3, 8, 9, 10, 11, 16, 17, 18, 19, 24, 25, 26, 27) +          \
+   __builtin_shufflevector(a, b, 4, 5, 6, 7, 12, 13, 14, 15, 20, 21, 22, 23, 28, 29, 30, 31))
+#endif
+
+// Sums over the lanes of each of the vectors s, written to `out`. Every round adds neighbours of two vectors into one, first lanes, then
+// groups of four, so that SUMS sums cost about SUMS additions of vectors instead of SUMS times log2(VW) of shrinking ones.
 static inline void lane_sums(const realV s[SUMS], __global real *out) {
 #if VW == 1
   for (int q = 0; q < SUMS; q++) out[q] = s[q];

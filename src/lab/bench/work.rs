@@ -19,12 +19,12 @@ pub const STAGES: [&str; 8] = [
     "project_grad",
 ];
 
-/// FLOP of a lane in the innermost block of `kernels/splat.cl`, a multiply-add counting two and comparisons, selections,
-/// conversions and integers nothing: u 3, exponent 6, 2^x 12, weight 1, three channels 6, transmittance 1.
-pub const SPLAT_FLOP: f64 = 29.0;
-/// FLOP of a lane of `kernels/splat_grad.cl`, counted alike: u 3, exponent 6, 2^x 12, weight 1, colour along the gradient 5, what is behind 2,
-/// dL/dα 4, transmittance 1, its product with α 1, with u and dy 2, nine sums 15. Not counted: the sums over the lanes.
-pub const SPLAT_GRAD_FLOP: f64 = 52.0;
+/// FLOP of a lane in the innermost block of `kernels/splat.cl`, a multiply-add counting two and comparisons, selections and
+/// integers nothing: u 3, exponent 6, 2^x 14, weight 1, three channels 6, transmittance 1.
+pub const SPLAT_FLOP: f64 = 31.0;
+/// FLOP of a lane of `kernels/splat_grad.cl`, counted alike: u 3, exponent 6, 2^x 14, weight 1, colour along the gradient 5, its share 1, what
+/// is behind 1, α / (1 − α) 2, transmittance 1, g 2, its product with u 1, six sums 11. Not counted: the sums over the lanes and with dy.
+pub const SPLAT_GRAD_FLOP: f64 = 48.0;
 
 /// Tile lists that the splat kernels read in one view.
 #[derive(Debug, Clone, Default)]

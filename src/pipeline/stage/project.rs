@@ -14,8 +14,8 @@ use crate::pipeline::reference::{
 };
 use crate::scene::{Plane, sh, sh_coefficients};
 
-/// Writes the records and keys of some rows of a view, the first of which begins a vector, and zeroes their numbers of pairs. The kernel is
-/// built for one SH degree.
+/// Writes the records and keys of some rows of a view, the first of which begins a vector, and zeroes their numbers of pairs, in whole
+/// vectors. The kernel is built for one SH degree.
 pub fn write_records<R: Real>(
     stage: &Program,
     scene: &GaussianBuffers<R>,
@@ -26,8 +26,8 @@ pub fn write_records<R: Real>(
         .launch("project")
         .gaussians(scene, rows.end)
         .value(view.camera)
-        .array(&view.records, scene.count)
-        .arrays([&view.keys, &view.isect_counts], scene.count)
+        .array(&view.records, scene.stride)
+        .arrays([&view.keys, &view.isect_counts], scene.stride)
         .over_rows(rows)
 }
 
