@@ -1,6 +1,6 @@
-// morton: the order of the Gaussians along the Z curve over their bounding box, without those that are to be removed. Codes of 63
-// bits, 21 an axis; a cell is trunc((x - low) * (cells / extent)) in f64, whose roundings are made here with integers: many GPUs
-// have no f64, and the same scene has the same order on every device. Source: Morton 1966.
+// morton: the order of the Gaussians by layers from the top, and in each along the Z curve over the bounding box of all, without those that are
+// to be removed. Codes of 61 bits: the layer, and 18 bits an axis; a cell is trunc((x - low) * (cells / extent)) in f64, whose roundings are made
+// here with integers: many GPUs have no f64, and the same scene has the same order on every device. Source: Morton 1966.
 // A pass is morton_box, morton_cells, morton_keys, morton_remove, a sort of the low halves, morton_high, a sort of the high halves.
 #include "chunks.clh"
 
@@ -81,7 +81,18 @@ static inline uint cell_of(float x, const __global uint *grid) {
   return cell.exponent > 0 || cell.exponent < -63 ? 0 : (uint)(cell.significand >> -cell.exponent) & (uint)CELLS;
 }
 
-// The low 21 bits with two zeros between neighbours.
+// Number of the layer of a position, the topmost 0: the bits of a float are a logarithm that is a straight line between powers of two. Every step
+// is rounded once, in the same way everywhere.
+static inline uint layer_of(const float x[3], float up_x, float up_y, float up_z) {
+  const uint half_of = 1u << (LAYER_BITS - 1);
+  const float height = fma(x[0], up_x, fma(x[1], up_y, x[2] * up_z));
+  const float stretched = 1.0f + 2.0f * fabs(height);
+  const uint logarithm = (as_uint(stretched) - as_uint(1.0f)) >> (23 - OCTAVE_BITS);
+  const uint away = stretched < INFINITY ? min(logarithm, half_of - 1) : half_of - 1;
+  return height > 0.0f ? half_of - 1 - away : half_of + away;
+}
+
+// The low bits with two zeros between neighbours; there is room for 21.
 static inline ulong spread(ulong v) {
   v = (v | v << 32) & 0x001f00000000fffful;
   v = (v | v << 16) & 0x001f0000ff0000fful;
@@ -166,15 +177,20 @@ CHUNK_KERNEL void morton_cells(__global const float *boxes, uint chunks, // in [
 
 // Launch: one work-item per Gaussian. Codes as two halves, the number of rows, and rows as they are.
 __kernel void morton_keys(__global const real *params, uint stride, uint count, // in [3, stride], local units
+                          float up_x, float up_y, float up_z,                   // direction that is up
                           __global const uint *grid, int ordered,               // in [3, MORTON_GRID]; 0: all codes are 0
-                          __global uint *low, __global uint *high,              // out [count] 32 bits; 31 bits
+                          __global uint *low, __global uint *high,              // out [count] 32 bits; 29 bits
                           __global uint *rows,                                  // out [count]
                           __global uint *status) {                              // out S_VISIBLE: count
   const uint i = get_global_id(0);
   if (i >= count) return;
   ulong code = 0;
-  for (int k = 0; ordered && k < 3; k++)
-    code |= spread(cell_of((float)params[(size_t)(P_POSITION + k) * stride + i], grid + k * MORTON_GRID)) << k;
+  if (ordered) {
+    float x[3];
+    for (int k = 0; k < 3; k++) x[k] = (float)params[(size_t)(P_POSITION + k) * stride + i];
+    code = (ulong)layer_of(x, up_x, up_y, up_z) << (3 * MORTON_BITS);
+    for (int k = 0; k < 3; k++) code |= spread(cell_of(x[k], grid + k * MORTON_GRID)) << k;
+  }
   low[i] = (uint)code;
   high[i] = (uint)(code >> 32);
   rows[i] = i;

@@ -13,7 +13,7 @@ use mhsplat::base::rng::Philox;
 use mhsplat::capture::Frame;
 use mhsplat::config::SceneFormat;
 use mhsplat::scene::formats::{self, SceneFile, Sphere};
-use mhsplat::scene::{Gaussians, Plane};
+use mhsplat::scene::{Gaussians, Plane, morton};
 
 pub const LOSSY: [SceneFormat; 5] = [
     SceneFormat::Spz,
@@ -158,7 +158,7 @@ fn errors_are_bounded() {
         for format in LOSSY {
             let mut given = scene(1000, degree);
             if format == SceneFormat::CompressedPly {
-                given.splats = given.splats.in_morton_order();
+                given.splats = given.splats.in_morton_order(morton::NO_UP);
             }
             let (back, lost) = through(&given, format);
             let kept = if format == SceneFormat::Splat {
@@ -276,7 +276,7 @@ fn frames_and_marks_are_kept() {
                 DVec3::from(up).distance(DVec3::new(0.0, -1.0, 0.25).normalize())
             });
             assert!(off < 1e-5, "{off}");
-            let order = |g: &Gaussians| g.clone().in_morton_order();
+            let order = |g: &Gaussians| g.clone().in_morton_order(morton::NO_UP);
             let expected = match format {
                 SceneFormat::CompressedPly => order(&given.splats),
                 _ => given.splats.clone(),

@@ -60,7 +60,7 @@ fn unpacked(html: &str) -> Vec<Vec<(f64, f64)>> {
 /// Number of values of a scene in Morton order that the page holds with more than its rounding.
 fn beyond(splats: &Gaussians, planes: &[Vec<(f64, f64)>]) -> usize {
     let axis = |k: usize| splats.planes()[k].as_slice();
-    let order = morton::order([axis(0), axis(1), axis(2)]);
+    let order = morton::order([axis(0), axis(1), axis(2)], morton::NO_UP);
     let mut wrong = 0;
     for (p, plane) in planes.iter().enumerate() {
         for (&i, (found, bound)) in order.iter().zip(plane) {

@@ -114,6 +114,8 @@ impl Defines {
         int("P_OPACITY", Plane::OPACITY as u64);
         int("P_SH", Plane::SH as u64);
         int("MORTON_BITS", u64::from(morton::BITS));
+        int("LAYER_BITS", u64::from(morton::LAYER_BITS));
+        int("OCTAVE_BITS", u64::from(morton::OCTAVE_BITS));
         int("MORTON_GRID", constants::MORTON_GRID as u64);
         int("STATUS_SLOTS", status::SLOTS as u64);
         int("S_VISIBLE", u64::from(status::VISIBLE));

@@ -79,7 +79,7 @@ pub(super) fn first(
         }
     }?;
     Ok(if config.work.morton_order {
-        splats.in_morton_order()
+        splats.in_morton_order(plan.up)
     } else {
         splats
     })

@@ -163,11 +163,11 @@ impl Gaussians {
         Ok(())
     }
 
-    /// The same Gaussians in Morton order (see [`morton`]).
+    /// The same Gaussians in Morton order, by layers where a direction is up (see [`morton::order`]).
     #[must_use]
-    pub fn in_morton_order(mut self) -> Self {
+    pub fn in_morton_order(mut self, up: [f32; 3]) -> Self {
         let axis = |k: usize| self.planes[Plane::POSITION + k].as_slice();
-        let order = morton::order([axis(0), axis(1), axis(2)]);
+        let order = morton::order([axis(0), axis(1), axis(2)], up);
         self.planes.par_iter_mut().for_each(|plane| {
             *plane = order.iter().map(|&i| plane[i as usize]).collect();
         });

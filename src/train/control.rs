@@ -382,10 +382,7 @@ impl Control {
     ) -> Result<Option<Vec<u32>>> {
         let known = match (&on.pipeline.share, division) {
             (Some(share), Some(division)) => {
-                let order = match self.plan.config.work.morton_order {
-                    true => Order::Morton,
-                    false => Order::Kept,
-                };
+                let order = self.morton_order().unwrap_or(Order::Kept);
                 let gaussians = (on.device, &mut *on.gaussians, &self.edit);
                 Some(moves::apply(share, gaussians, outcome, (order, division))?)
             }
@@ -395,16 +392,20 @@ impl Control {
         Ok(known)
     }
 
+    /// Morton order, if that is wanted.
+    fn morton_order(&self) -> Option<Order> {
+        let ordered = self.plan.config.work.morton_order;
+        ordered.then_some(Order::Morton { up: self.plan.up })
+    }
+
     /// [`Control::apply`] to all Gaussians on this device, without the smoothing filter.
     fn apply_alone(&self, on: &mut Working<'_>, outcome: &Outcome) -> Result<Option<Vec<u32>>> {
         let (device, rows, removed) = (on.device, outcome.rows, &outcome.removed);
         let limit = outcome.logit_limit;
         on.gaussians
             .edit(device, &self.edit, &outcome.edits, rows, limit)?;
-        let order = match self.plan.config.work.morton_order {
-            true => Some(Order::Morton),
-            false => (!removed.is_empty()).then_some(Order::Kept),
-        };
+        let kept = (!removed.is_empty()).then_some(Order::Kept);
+        let order = self.morton_order().or(kept);
         let mut known = None;
         if let Some(order) = order {
             let (forward, scene) = (&mut on.pipeline.forward, &on.gaussians.scene);

@@ -15,7 +15,7 @@ use crate::config::{
 };
 use crate::density::{self, DensityControl};
 use crate::device::{Device, DeviceKind};
-use crate::scene::formats;
+use crate::scene::{formats, morton};
 use crate::train::bound::most_gaussians;
 use crate::train::brightness::GainSpread;
 use crate::train::reasons::{Decided, NO_CAMERA_SAW, Part, Why};
@@ -42,6 +42,8 @@ pub struct Learned {
     /// First iteration with exposure compensation; `None` so far without it.
     #[serde(default)]
     pub exposed_from: Option<u32>,
+    /// Direction that is up, after which rows are ordered; [`morton::NO_UP`] if the cameras agree on none.
+    pub up: [f32; 3],
     /// Gaussians removed at the end because no training view shows them.
     pub removed: u64,
     /// Iteration after which the run was finished; a run that continues from there is finished again.
@@ -103,6 +105,8 @@ pub struct Plan {
     pub density_lag: Decided<u32>,
     /// Loss left out of tiles that are blank in render and photo.
     pub skip_blank: Decided<bool>,
+    /// Direction that is up, after which rows are ordered; [`morton::NO_UP`] if the cameras agree on none.
+    pub up: [f32; 3],
     /// Gaussians removed at the end because no training view shows them; `None` before the end, and where all are shown.
     pub unseen: Option<Decided<u64>>,
     /// [`Dataset::swept`].
@@ -198,6 +202,7 @@ impl Plan {
             // As on a CPU, until the device is known.
             density_lag: Decided::new(0, Why::SameProcessor),
             skip_blank: skip_blank(&config.work, alpha),
+            up: dataset.up().map_or(morton::NO_UP, |up| up.as_vec3().into()),
             unseen: None,
             swept: dataset.swept,
             random_start: match config.init {

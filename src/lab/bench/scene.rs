@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use glam::{DMat3, DVec3};
 
 use crate::base::rng::{Philox, Stream};
-use crate::capture::{Alpha, Camera, Dataset, Frame, Layout, Lens, Photo, Points, View};
+use crate::capture::{Alpha, Camera, Dataset, Frame, Layout, Lens, Photo, Points, View, up_axis};
 use crate::config::{AntiAliasing, OptimizerConfig, Sampler, TrainConfig, WorkConfig};
 use crate::lab::verify::cases::{Case, mild};
 use crate::scene::{Gaussians, Plane};
@@ -42,7 +42,7 @@ pub fn cloud(n: usize) -> Gaussians {
             s.scatter(p, i, [(uniform(i, 3)[p % 4] - 0.5) as f32]);
         }
     }
-    s.in_morton_order()
+    s.in_morton_order(up_axis(&circle(1)).as_vec3().into())
 }
 
 /// [`VIEWS`] cameras on a circle around the unit cube, `size` pixels wide and high.

@@ -10,7 +10,7 @@ use crate::device::tuning::{KEY_CULLED, Tuning, status};
 use crate::device::{Array, CameraArg, Defines, Device, Kernels, Real};
 use crate::lab::verify::cases::{ADAM, Case};
 use crate::lab::verify::definition::{
-    EXPOSURE_RATE, EXPOSURES, NOISE, NOISE_KEYS, ProjectedRow, Reference, VIEW, edited,
+    EXPOSURE_RATE, EXPOSURES, NOISE, NOISE_KEYS, ProjectedRow, Reference, UP, VIEW, edited,
     largest_sum, lists, ordered, removed, seen_before,
 };
 use crate::lab::verify::optimise::optimise;
@@ -492,7 +492,7 @@ impl<'a, R: Real> Pass<'a, R> {
         let stage = Morton::new::<R>(&self.kernels)?;
         let removed: Vec<u32> = removed(self.scene.count).collect();
         let (forward, scene) = (&mut self.pipeline.forward, &self.scene);
-        let rows = forward.sort_rows(&stage, scene, &removed, Order::Morton)?;
+        let rows = forward.sort_rows(&stage, scene, &removed, Order::Morton { up: UP })?;
         let rows = rows.read(0, scene.count - removed.len())?;
         let got = rows.into_iter().map(f64::from).collect();
         let splats = &self.case.splats;

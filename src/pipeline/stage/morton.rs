@@ -1,4 +1,4 @@
-//! Order of the Gaussians along the Z curve, without those that are removed (`kernels/morton.cl`).
+//! Order of the Gaussians by layers and along the Z curve, without those that are removed (`kernels/morton.cl`).
 
 use crate::base::constants::MORTON_GRID;
 use crate::base::error::Result;
@@ -9,10 +9,13 @@ use crate::pipeline::stage::sort::{Keys, Sort};
 use crate::scene::{Plane, morton};
 
 /// Order that rows are to have.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Order {
-    /// That of their Morton codes.
-    Morton,
+    /// By layers and Morton codes ([`morton::order`]).
+    Morton {
+        /// Direction that is up.
+        up: [f32; 3],
+    },
     /// The one that they have; removed rows are left out.
     Kept,
 }
@@ -53,12 +56,18 @@ impl Morton {
         view: &mut ViewBuffers<R>,
     ) -> Result<()> {
         let (program, count) = (&self.program, scene.count);
-        let ordered = order == Order::Morton;
+        let (ordered, [x, y, z]) = match order {
+            Order::Morton { up } => (true, up),
+            Order::Kept => (false, morton::NO_UP),
+        };
         if ordered {
             self.find_cells(scene)?;
         }
         let (visible, high) = (&mut view.visible, &view.isect_start);
         self.positions("morton_keys", scene)
+            .value(x)
+            .value(y)
+            .value(z)
             .array(&self.grid, 3 * MORTON_GRID)
             .value(i32::from(ordered))
             .arrays([&visible.keys[0], high], count)
@@ -116,11 +125,11 @@ impl Morton {
 
 // Definition in f64.
 
-/// Rows in the order of their Morton codes ([`morton::order`]), or as they are, without those of `removed`, which rise.
+/// Rows in the order of layers and Morton codes ([`morton::order`]), or as they are, without those of `removed`, which rise.
 #[must_use]
 pub fn kept(positions: [&[f32]; 3], removed: &[u32], order: Order) -> Vec<u32> {
     let mut rows = match order {
-        Order::Morton => morton::order(positions),
+        Order::Morton { up } => morton::order(positions, up),
         Order::Kept => (0..positions[0].len() as u32).collect(),
     };
     rows.retain(|row| removed.binary_search(row).is_err());

@@ -53,7 +53,7 @@ pub(super) fn pack(splats: &Gaussians, limit: usize) -> Packed {
         ));
     }
     let axis = |k: usize| splats.planes()[Plane::POSITION + k].as_slice();
-    let mut order = morton::order([axis(0), axis(1), axis(2)]);
+    let mut order = morton::order([axis(0), axis(1), axis(2)], morton::NO_UP);
     let mut count = all;
     while bytes(count, degree) > limit && count > 0 {
         count -= (bytes(count, degree) - limit)

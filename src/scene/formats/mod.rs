@@ -31,6 +31,7 @@ use crate::config::SceneFormat;
 
 pub use crate::scene::formats::scene_file::{Contents, SceneFile, Sphere};
 use crate::scene::formats::spz::Packing;
+use crate::scene::morton;
 
 /// Share of the scene's extent, a radius of the cameras: half a pixel of a photo of 2000 that shows it.
 const COARSE: f64 = 2.5e-4;
@@ -171,7 +172,7 @@ pub fn write(
         SceneFormat::Splat => splat::encode(&scene),
         SceneFormat::Glb => glb::encode(path, &scene)?,
         SceneFormat::Ply | SceneFormat::CompressedPly => {
-            let splats = scene.splats.in_morton_order();
+            let splats = scene.splats.in_morton_order(morton::NO_UP);
             compressed_ply::encode(&SceneFile { splats, ..scene })
         }
     };
