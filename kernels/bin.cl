@@ -112,16 +112,24 @@ static inline void walk_mask(uint mask, uint tx0, uint ty0, uint width, uint til
   }
 }
 
+// Gaussians in the order of the whole set, in which those of equal depth are: `early` of them, from early_first on, stand behind those that
+// come after them. In [count] depth bits or KEY_CULLED.
+#define KEY_ARGUMENTS __global const uint *keys, uint count, uint early_first, uint early
+// Place of Gaussian v of that order.
+static inline uint place_of(uint v, uint early_first, uint early) {
+  return v < early ? early_first + v : v < early_first + early ? v - early : v;
+}
+#define PLACE(v) place_of(v, early_first, early)
+
 // Launch: over chunks of Gaussians. Counts the visible ones.
-CHUNK_KERNEL void bin_visible(__global const uint *keys, uint count, // in [count] depth bits or KEY_CULLED
-                              uint chunks, __global uint *sums) {    // out [chunks]
+CHUNK_KERNEL void bin_visible(KEY_ARGUMENTS, uint chunks, __global uint *sums) { // out [chunks]
   SCRATCH;
   const uint c = CHUNK;
   if (c >= chunks) return;
   const uint size = chunk_size(count, chunks);
   const uint first = min(c * size, count), last = min(first + size, count);
   uint n = 0;
-  for (uint i = first + ITEM; i < last; i += GROUP) n += keys[i] != KEY_CULLED;
+  for (uint v = first + ITEM; v < last; v += GROUP) n += keys[PLACE(v)] != KEY_CULLED;
   n = (uint)group_sum(n, scratch);
   if (ITEM == 0) sums[c] = n;
 }
@@ -135,10 +143,9 @@ CHUNK_KERNEL void bin_visible(__global const uint *keys, uint count, // in [coun
 #define FIRST_PASS
 #endif
 
-// Launch: as bin_visible. Writes keys and indices of the visible ones, in index order, and their number to the status; by groups it also
-// counts for the first pass of their sort.
-CHUNK_KERNEL void bin_compact(__global const uint *keys, uint count,  // in [count]
-                              uint chunks, __global const uint *sums, // in [chunks]
+// Launch: as bin_visible. Writes keys and indices of the visible ones, in the order of the set, and their number to the status; by groups it
+// also counts for the first pass of their sort.
+CHUNK_KERNEL void bin_compact(KEY_ARGUMENTS, uint chunks, __global const uint *sums, // in [chunks]
                               __global uint *visible_keys,            // out [visible]
                               __global uint *visible,                 // out [visible] Gaussian index
                               __global uint *status                   // out S_VISIBLE
@@ -153,8 +160,10 @@ CHUNK_KERNEL void bin_compact(__global const uint *keys, uint count,  // in [cou
   __local uint digits[GROUP];
   digits[ITEM] = 0;
   barrier(CLK_LOCAL_MEM_FENCE);
-  for (uint i = first + ITEM; i < last; i += GROUP)
-    if (keys[i] != KEY_CULLED) atomic_inc(digits + digit_of(keys[i], 0, bins)); // of integers: the same in any order
+  for (uint v = first + ITEM; v < last; v += GROUP) {
+    const uint key = keys[PLACE(v)];
+    if (key != KEY_CULLED) atomic_inc(digits + digit_of(key, 0, bins)); // of integers: the same in any order
+  }
   barrier(CLK_LOCAL_MEM_FENCE);
   if (ITEM < bins) histogram[(size_t)c * bins + ITEM] = digits[ITEM];
   for (uint k = c * GROUP + ITEM; k < pair_chunks; k += chunks * GROUP) pair_sums[k] = 0;
@@ -166,7 +175,7 @@ CHUNK_KERNEL void bin_compact(__global const uint *keys, uint count,  // in [cou
   if (c == chunks - 1 && ITEM == 0) starts[chunks] = before + sums[c];
 #endif
   for (uint block = first; block < last; block += GROUP) {
-    const uint i = block + ITEM, key = i < last ? keys[i] : KEY_CULLED;
+    const uint v = block + ITEM, i = PLACE(v), key = v < last ? keys[i] : KEY_CULLED;
     uint total;
     const uint at = before + group_scan(key != KEY_CULLED, scratch, &total);
     if (key != KEY_CULLED) {

@@ -14,6 +14,11 @@
 // True if a Gaussian touches the rows of tiles from `from` to before `to`.
 static inline int touches_band(uint span, uint from, uint to) { return END_ROW(span) > from && FIRST_ROW(span) < to && from < to; }
 
+// Pixel rows of a Gaussian in a band that it touches, packed as they are in its record.
+static inline uint cut_to_band(uint by, uint from, uint to) {
+  return max((uint)BOUND_LO(by), from * TILE) | min((uint)BOUND_HI(by), to * TILE - 1) << 16;
+}
+
 // Bands that a Gaussian touches, from .x to before .y; empty ones between them, too. Sums in the place of branches, of which half would be
 // foretold wrongly.
 static inline uint2 bands_of(uint span, __global const uint *bands, uint ranks) {
@@ -65,7 +70,7 @@ CHUNK_KERNEL void route_pack(ROUTE_ARGUMENTS, uint chunks, __global const uint *
     const uint at = before + group_scan(touches, scratch, &total);
     if (touches) {
       Projected cut = records[i];
-      cut.by = max((uint)BOUND_LO(cut.by), from * TILE) | min((uint)BOUND_HI(cut.by), to * TILE - 1) << 16;
+      cut.by = cut_to_band(cut.by, from, to);
       sent_keys[(size_t)to_rank + at] = keys[i];
       sent[(size_t)to_rank + at] = cut;
       place[own + i] = at;
@@ -74,58 +79,79 @@ CHUNK_KERNEL void route_pack(ROUTE_ARGUMENTS, uint chunks, __global const uint *
   }
 }
 
-// First slots of what was sent to each other rank, as that rank counts them: in [number sent + 1] from offsets[rank] on; the slot here is
-// shifts[rank] more, modulo 2^32. In the own band first slots and numbers of pairs are those of its view, in which the Gaussians of these rows
-// begin at own_first.
-#define RETURN_ARGUMENTS                                                                                                       \
-  uint ranks, uint stride, __global const uint *place, __global const uint *starts, __global const uint *offsets,              \
-      __global const uint *shifts, uint own, uint own_first, __global const uint *own_start, __global const uint *own_counts
-#define RETURN_NAMES ranks, stride, place, starts, offsets, shifts, own, own_first, own_start, own_counts
+// Launch: one work-item per own Gaussian, when others have got what they get. Leaves what is of the rank's own band in the view, which is that of the
+// band: Gaussians elsewhere pass for culled ones there, and those that it cuts end at its edges.
+__kernel void route_stay(ROUTE_ARGUMENTS, uint own,               // number of the rank
+                         __global Projected *records,             // in/out [end]
+                         __global uint *keys,                     // in/out [end]
+                         __global uint *isect_counts) {           // in/out [end] rows of tiles, none of Gaussians elsewhere
+  const uint i = begin + get_global_id(0);
+  if (i >= end) return;
+  const uint span = spans[i], from = bands[own], to = bands[own + 1];
+  if (!touches_band(span, from, to)) {
+    keys[i] = KEY_CULLED;
+    isect_counts[i] = 0;
+  } else if (FIRST_ROW(span) < from || END_ROW(span) > to)
+    records[i].by = cut_to_band(records[i].by, from, to);
+}
 
-// First slot of the sums of a Gaussian's pairs in a band that it touches, and their number.
+// First slots of what was sent to each other rank, as that rank counts them: in [number sent + 1] from offsets[rank] on; the slot here is
+// shifts[rank] more, modulo 2^32.
+#define RETURN_ARGUMENTS                                                                                                       \
+  uint ranks, uint own, uint stride, __global const uint *place, __global const uint *starts, __global const uint *offsets,    \
+      __global const uint *shifts
+#define RETURN_NAMES ranks, own, stride, place, starts, offsets, shifts
+
+// First slot of the sums of a Gaussian's pairs in a band of another rank that it touches, and their number.
 static inline uint2 returned(uint rank, uint i, RETURN_ARGUMENTS) {
-  const uint at = place[(size_t)rank * stride + i];
-  if (rank == own) return (uint2)(own_start[own_first + at], own_counts[own_first + at]);
-  __global const uint *slot = starts + offsets[rank] + at;
+  __global const uint *slot = starts + offsets[rank] + place[(size_t)rank * stride + i];
   return (uint2)(slot[0] + shifts[rank], slot[1] - slot[0]);
 }
 
-// Launch: one work-item per own Gaussian. Writes the number of its pairs in all bands and, where it touches one band, the first slot of
-// their sums; where it touches more, it wants a place for all of them together, of this length.
-__kernel void route_pairs(ROUTE_ARGUMENTS, RETURN_ARGUMENTS, __global uint *isect_counts, // out [end]
-                          __global uint *isect_start,                                     // out [end]
+// Launch: one work-item per own Gaussian. Adds its pairs in other bands to those in the own one and, where it touches one band, writes the first
+// slot of their sums; where it touches more, it wants a place for all of them together, of this length.
+__kernel void route_pairs(ROUTE_ARGUMENTS, RETURN_ARGUMENTS, __global uint *isect_counts, // in/out [end]
+                          __global uint *isect_start,                                     // in/out [end]
                           __global uint *wanted) {                                        // out [end - begin]
   const uint i = begin + get_global_id(0);
   if (i >= end) return;
   const uint2 touched = bands_of(spans[i], bands, ranks);
-  uint n = 0, lists = 0, only = 0;
-  for (uint rank = touched.x; rank < touched.y; rank++) {
-    if (IS_EMPTY(rank)) continue;
-    const uint2 list = returned(rank, i, RETURN_NAMES);
-    n += list.y;
-    only = list.x;
-    lists++;
+  uint lists = 0, length = 0;
+  if (touched.x < touched.y && (touched.x != own || touched.y != own + 1)) {
+    uint n = isect_counts[i], only = isect_start[i];
+    for (uint rank = touched.x; rank < touched.y; rank++) {
+      if (IS_EMPTY(rank)) continue;
+      lists++;
+      if (rank == own) continue;
+      const uint2 list = returned(rank, i, RETURN_NAMES);
+      n += list.y;
+      only = list.x;
+    }
+    isect_counts[i] = n;
+    if (lists > 1) length = n;
+    else isect_start[i] = only;
   }
-  isect_counts[i] = n;
-  isect_start[i] = only;
-  wanted[i - begin] = lists > 1 ? n : 0;
+  wanted[i - begin] = length;
 }
 
 // Launch: one work-item per own Gaussian. Brings the sums of the pairs of one that touches more than one band together, by bands from top to bottom.
 __kernel void route_sums(ROUTE_ARGUMENTS, RETURN_ARGUMENTS, __global const uint *wanted, // in [end - begin]
                          __global const uint *before,                                    // in [end - begin] exclusive sums of these
                          uint together,                                                  // first slot of all of them
-                         __global uint *isect_start,                                     // out [end]
+                         __global uint *isect_start,                                     // in/out [end]
                          __global real *sums) {                                          // in/out [pairs, SUMS] as they came, and together
   const uint i = begin + get_global_id(0);
   if (i >= end || wanted[i - begin] == 0) return;
   const uint2 touched = bands_of(spans[i], bands, ranks);
-  const uint at = together + before[i - begin];
+  const uint at = together + before[i - begin], at_own = isect_start[i];
+  uint in_own = wanted[i - begin];
+  for (uint rank = touched.x; rank < touched.y; rank++)
+    if (rank != own && !IS_EMPTY(rank)) in_own -= returned(rank, i, RETURN_NAMES).y;
   isect_start[i] = at;
   __global real *to = sums + (size_t)at * SUMS;
   for (uint rank = touched.x; rank < touched.y; rank++) {
     if (IS_EMPTY(rank)) continue;
-    const uint2 list = returned(rank, i, RETURN_NAMES);
+    const uint2 list = rank == own ? (uint2)(at_own, in_own) : returned(rank, i, RETURN_NAMES);
     __global const real *from = sums + (size_t)list.x * SUMS;
     const uint n = list.y * SUMS;
     for (uint k = 0; k < n; k++) to[k] = from[k];
@@ -141,30 +167,29 @@ static inline uint pairs_back(const uint pairs, uint by, uint from, uint to, uin
   return whole && (!GROUP_STYLE || pairs <= LARGE_PAIRS) ? min(pairs, 1u) : pairs;
 }
 
-// Gaussians that a band got: in [count] records, numbers of pairs; first row of tiles of the band, the one after it, rows of tiles.
-#define BAND_ARGUMENTS                                                                                                \
-  __global const Projected *records, uint count, uint from, uint to, uint rows, __global const uint *isect_counts
+// Other ranks' Gaussians that a band got, which lie from `begin` to before `end` in its view: in [end] numbers of pairs.
+#define OTHERS_ARGUMENTS uint begin, uint end, __global const uint *isect_counts
 
-// Launch: one work-item per Gaussian that a band got. Counts the pairs whose sums go back: none of the rank's own.
-__kernel void route_lengths(BAND_ARGUMENTS, uint own_first, uint own_end, __global uint *lengths) { // out [count]
-  const uint i = get_global_id(0);
-  if (i >= count) return;
-  uint back = 0;
-  if (i < own_first || i >= own_end) back = pairs_back(isect_counts[i], records[i].by, from, to, rows);
-  lengths[i] = back;
+// Launch: one work-item per Gaussian of other ranks. Counts the pairs whose sums go back.
+__kernel void route_lengths(OTHERS_ARGUMENTS, __global const Projected *records, // in [end]
+                            uint from, uint to, uint rows,                       // rows of tiles: the band's first, the one after it, all
+                            __global uint *lengths) {                            // out [end - begin]
+  const uint k = get_global_id(0), i = begin + k;
+  if (i >= end) return;
+  lengths[k] = pairs_back(isect_counts[i], records[i].by, from, to, rows);
 }
 
-// Launch: one work-item per Gaussian that a band got from `begin` to before `end`. Writes their sums, in the order of the Gaussians.
-__kernel void route_return(uint begin, uint end, __global const uint *isect_counts, __global const uint *isect_start, // in [end] pairs, first slot
-                           __global const uint *lengths,                     // in [end] pairs whose sums go back
-                           __global const uint *row_start,                   // in [end] exclusive sums of the lengths
-                           __global const real *sums,                        // in [pairs, SUMS]
-                           __global real *ordered) {                         // out [pairs that are written, SUMS]
-  const uint i = begin + get_global_id(0);
+// Launch: one work-item per Gaussian of other ranks. Writes their sums, in the order of the Gaussians.
+__kernel void route_return(OTHERS_ARGUMENTS, __global const uint *isect_start, // in [end] first slot
+                           __global const uint *lengths,                       // in [end - begin] pairs whose sums go back
+                           __global const uint *row_start,                     // in [end - begin] exclusive sums of the lengths
+                           __global const real *sums,                          // in [pairs, SUMS]
+                           __global real *ordered) {                           // out [pairs that are written, SUMS]
+  const uint k = get_global_id(0), i = begin + k;
   if (i >= end) return;
-  const uint pairs = isect_counts[i], back = lengths[i];
+  const uint pairs = isect_counts[i], back = lengths[k];
   __global const real *of = sums + (size_t)isect_start[i] * SUMS;
-  __global real *to_row = ordered + (size_t)row_start[i] * SUMS;
+  __global real *to_row = ordered + (size_t)row_start[k] * SUMS;
   if (back < pairs) {
     real sum[SUMS];
     for (int q = 0; q < SUMS; q++) sum[q] = R(0.0);
@@ -172,5 +197,5 @@ __kernel void route_return(uint begin, uint end, __global const uint *isect_coun
       for (int q = 0; q < SUMS; q++) sum[q] += of[p * SUMS + q];
     for (int q = 0; q < SUMS; q++) to_row[q] = sum[q];
   } else
-    for (uint k = 0; k < pairs * SUMS; k++) to_row[k] = of[k];
+    for (uint q = 0; q < pairs * SUMS; q++) to_row[q] = of[q];
 }

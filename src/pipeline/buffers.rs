@@ -12,6 +12,7 @@ use crate::device::{Array, CameraArg, Device, ImageSize, PhotoScale, Projected, 
 use crate::pipeline::photo_array::PhotoArray;
 use crate::pipeline::photos::{Photos, Wanted};
 use crate::pipeline::room::{Load, ROUND, check_room, image_planes, most_pairs};
+use crate::pipeline::stage::scan::Totals;
 use crate::scene::{Gaussians, Plane};
 
 /// Tiles that are blank in a render and its photo.
@@ -175,8 +176,11 @@ pub struct ViewBuffers<R: Real> {
     pub camera: CameraArg<R>,
     /// Rows of tiles of the image that are composited here: all, unless ranks share them.
     pub band: Range<usize>,
-    /// Gaussians of the scene rendered last.
+    /// Gaussians of the view rendered last.
     pub count: usize,
+    /// Those of them that come before all others in the order of the whole set and stand behind the first of these here: other ranks', where the
+    /// rows that are here have come first in memory.
+    pub early: Range<usize>,
     /// Projected Gaussians: mean, conic, opacity, colour.
     pub records: Array<Projected<R>>,
     /// Depth bits or culled.
@@ -230,6 +234,7 @@ impl<R: Real> ViewBuffers<R> {
             camera: CameraArg::default(),
             band: 0..0,
             count: 0,
+            early: 0..0,
             records: Array::zeros(device, "records", 0)?,
             keys: ints("keys")?,
             isect_counts: ints("isect_counts")?,
@@ -257,16 +262,6 @@ impl<R: Real> ViewBuffers<R> {
 
     /// Makes room for a scene of `stride` Gaussians. Contents are lost.
     pub fn fit_gaussians(&mut self, device: &Device, stride: usize) -> Result<()> {
-        self.fit_records(device, stride)?;
-        if self.cover.len() < 2 * stride {
-            self.visible = SortBuffers::new(device, VISIBLE, stride)?;
-            self.cover = Array::zeros(device, "cover", 2 * stride)?;
-        }
-        Ok(())
-    }
-
-    /// Makes room for the records of `stride` Gaussians that are projected into this view and composited in others. Contents are lost.
-    pub fn fit_records(&mut self, device: &Device, stride: usize) -> Result<()> {
         if self.keys.len() >= stride {
             return Ok(());
         }
@@ -275,13 +270,29 @@ impl<R: Real> ViewBuffers<R> {
         self.keys = ints("keys")?;
         self.isect_counts = ints("isect_counts")?;
         self.isect_start = ints("isect_start")?;
+        self.visible = SortBuffers::new(device, VISIBLE, stride)?;
+        self.cover = Array::zeros(device, "cover", 2 * stride)?;
         Ok(())
+    }
+
+    /// Makes room for a quarter more than `count` Gaussians, if there is none for them, and keeps what has been projected of the first `kept`.
+    pub fn grow_gaussians(&mut self, device: &Device, count: usize, kept: usize) -> Result<()> {
+        if self.keys.len() >= count {
+            return Ok(());
+        }
+        let records = std::mem::replace(&mut self.records, Array::zeros(device, "records", 0)?);
+        let none = || Array::zeros(device, "keys", 0);
+        let keys = std::mem::replace(&mut self.keys, none()?);
+        let pairs = std::mem::replace(&mut self.isect_counts, none()?);
+        self.fit_gaussians(device, count + count / 4)?;
+        self.records.copy_from(0, &records, 0, kept)?;
+        self.keys.copy_from(0, &keys, 0, kept)?;
+        self.isect_counts.copy_from(0, &pairs, 0, kept)
     }
 
     /// Gives up the room for Gaussians and pairs, of which views need fewer from now on; each makes room for its own.
     pub fn release(&mut self, device: &Device) -> Result<()> {
         self.keys = Array::zeros(device, "keys", 0)?;
-        self.cover = Array::zeros(device, "cover", 0)?;
         self.fit_gaussians(device, ROUND)?;
         self.set_intersections(device, ROUND)
     }
@@ -373,29 +384,27 @@ impl<R: Real> ViewBuffers<R> {
         Ok(())
     }
 
-    /// Number of pairs of the view enqueued last; waits.
-    pub(crate) fn pairs_found(&self) -> Result<u32> {
-        Ok(self.status.read(status::INTERSECTIONS as usize, 1)?[0])
-    }
-
-    /// Makes room for the sums of `pairs` pairs that others have composited, and for nothing else of them. The first `kept` stay.
+    /// Makes room for the sums of `pairs` pairs, those that others have composited among them. The first `kept` stay.
     pub fn fit_sums(&mut self, device: &Device, pairs: usize, kept: usize) -> Result<()> {
-        if self.sums.len() < pairs * SUMS {
-            let room = |pairs: usize| Array::zeros(device, "sums", pairs * SUMS);
-            // A quarter to spare where there is room for it.
-            let sums = room(pairs + pairs / 4).or_else(|_: Error| room(pairs))?;
-            if kept > 0 {
-                sums.copy_from(0, &self.sums, 0, kept * SUMS)?;
-            }
-            self.sums = sums;
+        if self.sums.len() >= pairs * SUMS {
+            return Ok(());
         }
-        self.capacity = self.sums.len() / SUMS;
+        let room = |pairs: usize| Array::zeros(device, "sums", pairs * SUMS);
+        // A quarter to spare where there is room for it.
+        let sums = room(pairs + pairs / 4).or_else(|_: Error| room(pairs))?;
+        sums.copy_from(0, &self.sums, 0, kept * SUMS)?;
+        self.sums = sums;
         Ok(())
     }
 
-    /// Lends the sums of another view's pairs to this one, or gives them back.
-    pub fn swap_sums(&mut self, other: &mut Self) {
-        std::mem::swap(&mut self.sums, &mut other.sums);
+    /// Arrays in which the pairs of the view are added up.
+    #[must_use]
+    pub fn totals(&self) -> Totals<'_> {
+        Totals {
+            chunk_sums: &self.pair_sums,
+            status: &self.status,
+            most: self.capacity,
+        }
     }
 
     /// Number of chunks of the visible Gaussians whose pairs are counted by tile.

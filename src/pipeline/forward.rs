@@ -189,8 +189,9 @@ impl<R: Real> Renderer<R> {
         options: &RenderOptions,
     ) -> Result<()> {
         let rows = 0..camera.image().tiles()[1];
-        (self.frame.camera, self.frame.band, self.frame.count) = (*camera, rows, scene.count);
-        self.project_into(scene, options, (&self.frame, 0..scene.count))?;
+        (self.frame.camera, self.frame.band) = (*camera, rows);
+        (self.frame.count, self.frame.early) = (scene.count, 0..0);
+        self.project_rows(scene, options, 0..scene.count)?;
         self.intersect_records(options.active_only)
     }
 
@@ -207,14 +208,15 @@ impl<R: Real> Renderer<R> {
         })
     }
 
-    /// Enqueues the projection of some rows of a scene into the records of a view, which may be another than that of this renderer.
-    pub(crate) fn project_into(
+    /// Enqueues the projection of some rows of a scene by the camera of the view.
+    pub(crate) fn project_rows(
         &self,
         scene: &GaussianBuffers<R>,
         options: &RenderOptions,
-        (view, rows): (&ViewBuffers<R>, Range<usize>),
+        rows: Range<usize>,
     ) -> Result<()> {
-        project::write_records(self.projection(scene, options)?, scene, view, rows)
+        let stage = self.projection(scene, options)?;
+        project::write_records(stage, scene, &self.frame, rows)
     }
 
     /// Enqueues the stages from the records to the sorted pairs.
@@ -251,13 +253,23 @@ impl<R: Real> Renderer<R> {
         bin::count(&self.bin, f, active_only)?;
         if self.bin.defines().tuning.group_style {
             // bin_count has added up the chunks.
-            scan::sum_counted(&self.scan, f, f.count, [f.depth_counts(), f.depth_start()])?;
+            scan::sum_counted(
+                &self.scan,
+                &f.totals(),
+                f.count,
+                [f.depth_counts(), f.depth_start()],
+            )?;
             bin::emit(&self.bin, f, active_only)?;
             let keys = Keys::tiles(f.capacity, f.camera.tile_count());
             self.sort.run(&mut f.pairs, &keys, &f.status)?;
             return bin::find_tiles(&self.bin, f);
         }
-        scan::sum_pairs(&self.scan, f, f.count, [&f.isect_counts, &f.isect_start])?;
+        scan::sum_pairs(
+            &self.scan,
+            &f.totals(),
+            f.count,
+            [&f.isect_counts, &f.isect_start],
+        )?;
         bin::count_tiles(&self.bin, f, active_only)?;
         let by_tile = [f.tile_chunks(), f.camera.tile_count()];
         self.sort

@@ -95,11 +95,10 @@ impl<R: Real> Pipeline<R> {
         }
     }
 
-    /// The view with the records and the pairs' sums of the Gaussians that are here.
+    /// The view enqueued last; after the backward stages with the sums of all pairs of the Gaussians that are here.
     #[must_use]
-    pub fn home(&self) -> &ViewBuffers<R> {
-        let share = self.share.as_ref();
-        share.map_or(&self.forward.frame, |share| &share.home)
+    pub fn frame(&self) -> &ViewBuffers<R> {
+        &self.forward.frame
     }
 
     /// Has the stages take the tiles of a photo in which a pixel counts.
@@ -199,7 +198,7 @@ impl<R: Real> Pipeline<R> {
         importance::add_errors(
             stage,
             scene,
-            self.home(),
+            self.frame(),
             (maps, planes),
             first_view,
             statistics,
@@ -211,7 +210,7 @@ impl<R: Real> Pipeline<R> {
     pub fn splat_gradient(&mut self) -> Result<()> {
         self.backward.splats(&self.forward, &self.dimage)?;
         match &mut self.share {
-            Some(share) => share.return_sums(&mut self.forward.frame),
+            Some(share) => share.return_sums(&self.forward.frame),
             None => Ok(()),
         }
     }
@@ -229,7 +228,7 @@ impl<R: Real> Pipeline<R> {
     /// No room, another rank's failure, or the driver's.
     pub fn take_sums(&mut self, part: usize, count: usize) -> Result<Range<usize>> {
         match &mut self.share {
-            Some(share) => share.take_sums(part, &self.forward.frame),
+            Some(share) => share.take_sums(part, &mut self.forward.frame),
             None => Ok(0..count),
         }
     }
@@ -239,9 +238,7 @@ impl<R: Real> Pipeline<R> {
     /// # Errors
     /// The driver's.
     pub fn end_update(&mut self) -> Result<()> {
-        let frame = &mut self.forward.frame;
-        let share = self.share.as_mut();
-        share.map_or(Ok(()), |share| share.end_update(frame))
+        self.share.as_mut().map_or(Ok(()), Share::end_update)
     }
 
     /// Blending weight α·T of each Gaussian in a view, summed over its pixels, in single precision; a third is missing for each

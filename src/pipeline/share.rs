@@ -66,10 +66,8 @@ pub struct Share<R: Real> {
     exchange: Arc<dyn Exchange>,
     route: Route<R>,
     scan: Program,
-    /// Records of the rows of this rank; while these are updated the sums of their pairs, too, on loan from the view of the band.
-    pub home: ViewBuffers<R>,
-    /// True while they are.
-    lent: bool,
+    /// A status that nobody reads.
+    pub uncounted: Array<u32>,
     /// Pairs of the view composited last.
     pairs: usize,
     /// First row of tiles of each rank's band, and the number of rows.
@@ -109,8 +107,7 @@ impl<R: Real> Share<R> {
         Ok(Self {
             route: Route::new(&kernels, [exchange.rank(), exchange.ranks()], parts)?,
             scan: kernels.build::<R>("scan")?,
-            home: ViewBuffers::new(device, &defines.tuning, true)?,
-            lent: false,
+            uncounted: Array::zeros(device, "status", status::SLOTS)?,
             pairs: 0,
             bands: vec![0; exchange.ranks() + 1],
             pairs_by_row: Vec::new(),
@@ -231,26 +228,21 @@ impl<R: Real> Share<R> {
     ) -> Result<()> {
         // What lay between two views is no work on them: orders, photos.
         self.lap();
-        // An error may have come between.
-        self.take_back(&mut forward.frame);
         self.route.set_bands(&self.bands)?;
-        let home = &mut self.home;
-        home.fit_records(&self.device, scene.stride)?;
-        (home.camera, home.count) = (*camera, scene.count);
+        let own = self.band(self.exchange.rank());
+        forward.frame.fit_gaussians(&self.device, scene.stride)?;
+        (forward.frame.camera, forward.frame.band) = (*camera, own);
         self.route.divide(&self.device, scene.count)?;
         let parts = 0..self.parts();
         for part in parts.clone() {
             let rows = self.route.rows(part);
-            forward.project_into(scene, options, (&self.home, rows))?;
-            let sent = self.route.send(&self.device, &self.home, part)?;
+            forward.project_rows(scene, options, rows)?;
+            let sent = self.route.send(&self.device, &forward.frame, part)?;
             self.exchange.begin(Part::Records, sent)?;
         }
         self.worked.rows = std::mem::take(&mut self.updated) + self.lap();
         let got: Vec<_> = parts.map(|_| self.wait()).collect::<Result<_>>()?;
-        let own = self.band(self.exchange.rank());
-        let frame = &mut forward.frame;
-        self.route.receive(&self.device, got, (&self.home, frame))?;
-        (frame.camera, frame.band) = (*camera, own);
+        self.route.receive(&self.device, got, &mut forward.frame)?;
         loop {
             forward.intersect_records(options.active_only)?;
             forward.composite(options.background)?;
@@ -377,16 +369,13 @@ impl<R: Real> Share<R> {
         self.route.parts()
     }
 
-    /// Begins to send the sums of the pairs of this rank's band to the ranks whose Gaussians they are; all of them are lent to [`Share::home`]
-    /// until [`Share::end_update`]. Waits for its own device alone.
+    /// Begins to send the sums of the pairs of this rank's band to the ranks whose Gaussians they are. Waits for its own device alone.
     ///
     /// # Errors
     /// No room, another rank's failure, or the driver's.
-    pub fn return_sums(&mut self, frame: &mut ViewBuffers<R>) -> Result<()> {
-        let of = (&*frame, self.pairs);
+    pub fn return_sums(&mut self, frame: &ViewBuffers<R>) -> Result<()> {
+        let of = (frame, self.pairs);
         self.route.give_back(&self.device, &self.scan, of)?;
-        self.home.swap_sums(frame);
-        self.lent = true;
         for part in 0..self.parts() {
             let given = self.route.to_return(part)?;
             self.exchange.begin(Part::Sums, given)?;
@@ -399,34 +388,24 @@ impl<R: Real> Share<R> {
     ///
     /// # Errors
     /// No room, another rank's failure, or the driver's.
-    pub fn take_sums(&mut self, part: usize, frame: &ViewBuffers<R>) -> Result<Range<usize>> {
+    pub fn take_sums(&mut self, part: usize, frame: &mut ViewBuffers<R>) -> Result<Range<usize>> {
         // The step of the part before is taken meanwhile.
         self.device.flush()?;
         let got = self.wait()?;
         let (device, scan) = (&self.device, &self.scan);
-        let views = (&mut self.home, frame);
-        self.route.collect(device, scan, (part, got), views)?;
+        self.route.collect(device, scan, (part, got), frame)?;
         self.updated += self.lap();
         Ok(self.route.rows(part))
     }
 
-    /// Gives the sums back to the view of the band, and waits for the update of the rows, which is work on them; of what is done while messages
-    /// are waited for nothing counts.
+    /// Waits for the update of the rows, which is work on them; of what is done while messages are waited for nothing counts.
     ///
     /// # Errors
     /// The driver's.
-    pub fn end_update(&mut self, frame: &mut ViewBuffers<R>) -> Result<()> {
-        self.take_back(frame);
+    pub fn end_update(&mut self) -> Result<()> {
         self.device.finish()?;
         self.updated += self.lap();
         Ok(())
-    }
-
-    /// Ends the loan of the sums.
-    fn take_back(&mut self, frame: &mut ViewBuffers<R>) {
-        if std::mem::take(&mut self.lent) {
-            self.home.swap_sums(frame);
-        }
     }
 
     /// Forgets the time of all work so far: it was on other rows.
@@ -443,8 +422,8 @@ impl<R: Real> Share<R> {
     pub fn return_flags(&self, flags: &[bool]) -> Result<Vec<bool>> {
         let given = (0..self.ranks()).map(|rank| bits_of(&flags[self.route.got(rank)]));
         let got = self.trade(Part::Sums, given.collect())?;
-        let mut own = vec![false; self.home.count];
-        for (rows, message) in self.route.sent_rows(&self.home)?.iter().zip(&got) {
+        let mut own = vec![false; self.route.got(self.rank()).len()];
+        for (rows, message) in self.route.sent_rows()?.iter().zip(&got) {
             for (row, flag) in rows.iter().zip(flags_of(message, rows.len())?) {
                 own[*row as usize] |= flag;
             }

@@ -197,7 +197,7 @@ impl Control {
         pipeline: &Pipeline,
         gaussians: &GaussianState,
     ) -> Result<()> {
-        let (frame, scene) = (pipeline.home(), &gaussians.scene);
+        let (frame, scene) = (pipeline.frame(), &gaussians.scene);
         if let Some(stage) = &self.screen_grad
             && self.schedule.next_density(iteration).is_some()
         {

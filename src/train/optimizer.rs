@@ -64,7 +64,7 @@ impl Optimizer {
         [iteration, sh_degree]: [u32; 2],
         rows: Range<usize>,
     ) -> Result<()> {
-        let (stage, frame) = (&self.stages[sh_degree as usize], pipeline.home());
+        let (stage, frame) = (&self.stages[sh_degree as usize], pipeline.frame());
         let (scene, moments) = (&gaussians.scene, gaussians.moments.each_ref());
         if self.batched.is_some() {
             let views = self.schedule.views_before(iteration);

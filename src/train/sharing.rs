@@ -465,7 +465,8 @@ impl Trainer {
         let Some(share) = &self.pipeline.share else {
             return Ok(Vec::new());
         };
-        let own = share.home.status.read(status::NON_FINITE as usize, 1)?;
+        let counters = &self.pipeline.frame().status;
+        let own = counters.read(status::NON_FINITE as usize, 1)?;
         share.tell_leader(Part::Orders, own)
     }
 

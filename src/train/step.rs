@@ -264,8 +264,8 @@ impl Trainer {
         if let Some(exposure) = &self.pipeline.exposure {
             // All ranks take this step alike; the leader counts for them.
             let status = match (&self.crew, &self.pipeline.share) {
-                (None, Some(_)) => &self.pipeline.forward.frame.status,
-                _ => &self.pipeline.home().status,
+                (None, Some(share)) => &share.uncounted,
+                _ => &self.pipeline.frame().status,
             };
             exposure.step(view.number, self.transform_step(iteration), status)?;
         }
@@ -435,7 +435,7 @@ impl Trainer {
         self.timing.begin(at, alone)?;
         self.iterate(at, degree)?;
         self.end_iteration(at);
-        let status = &self.pipeline.home().status;
+        let status = &self.pipeline.frame().status;
         self.in_flight.push_back(InFlight {
             iteration: at,
             counters: status.read_later(0, status::SLOTS)?,

@@ -161,7 +161,7 @@ fn mean_of<R: Real>(tuning: Tuning, cases: &[Case]) -> Vec<f64> {
             parts.iter().try_for_each(of)
         };
         of(k).unwrap();
-        let status = &pipeline.home().status;
+        let status = &pipeline.frame().status;
         status.write(OVERFLOW as usize, &[1]).unwrap();
         of(0).and_then(|()| of(1)).unwrap();
         status.write(OVERFLOW as usize, &[0]).unwrap();
@@ -172,7 +172,7 @@ fn mean_of<R: Real>(tuning: Tuning, cases: &[Case]) -> Vec<f64> {
         t: 1,
     };
     let adam = Kernels::new(&device, defines).build::<R>("adam").unwrap();
-    let frame = pipeline.home();
+    let frame = pipeline.frame();
     for rows in &parts {
         let grads = block(cases.len(), rows);
         adam::update(&adam, &scene, [&m, &v], &grads, &step, frame).unwrap();

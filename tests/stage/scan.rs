@@ -27,7 +27,7 @@ fn scanned(values: &[u32], capacity: usize, tuning: Tuning) -> (Vec<u32>, Vec<u3
     let mut frame = ViewBuffers::<f32>::new(&device, &kernels.defines().tuning, false).unwrap();
     frame.capacity = capacity;
     let stage = kernels.build::<f32>("scan").unwrap();
-    sum_pairs(&stage, &frame, values.len(), [&input, &out]).unwrap();
+    sum_pairs(&stage, &frame.totals(), values.len(), [&input, &out]).unwrap();
     let status = frame.status.to_vec().unwrap();
     (out.read(0, values.len()).unwrap(), status)
 }

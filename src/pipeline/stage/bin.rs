@@ -107,7 +107,7 @@ fn by_tile<'k, R: Real>(
 fn over_keys<'k, R: Real>(launch: Launch<'k>, view: &ViewBuffers<R>, chunks: usize) -> Launch<'k> {
     launch
         .array(&view.keys, view.count)
-        .uints([view.count, chunks])
+        .uints([view.count, view.early.start, view.early.len(), chunks])
         .array(&view.chunk_sums, chunks)
 }
 

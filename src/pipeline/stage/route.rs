@@ -11,7 +11,7 @@ use crate::device::{read_sections, write_sections};
 use crate::pipeline::buffers::ViewBuffers;
 use crate::pipeline::reference::TILE;
 use crate::pipeline::stage::project::Projected64;
-use crate::pipeline::stage::scan;
+use crate::pipeline::stage::scan::{self, Totals};
 
 /// Words of a routed Gaussian: its key and its record.
 const fn routed_words<R>() -> usize {
@@ -29,7 +29,7 @@ struct Trip<R: Real> {
     chunk_sums: Array<u32>,
     /// Gaussians that each band gets.
     sent_counts: Vec<usize>,
-    /// Gaussians that this rank's band got of each rank, in its view.
+    /// Gaussians that this rank's band got of each other rank, in the view.
     got: Vec<Range<usize>>,
 }
 
@@ -42,6 +42,8 @@ pub struct Route<R: Real> {
     trips: Vec<Trip<R>>,
     /// Gaussians of this rank that there is room for.
     stride: usize,
+    /// Rows of this rank, which come first in the view.
+    own: usize,
     /// First row of tiles of each band, and the number of rows.
     bands: Array<u32>,
     spans: Array<u32>,
@@ -51,9 +53,12 @@ pub struct Route<R: Real> {
     shifts: Array<u32>,
     wanted: Array<u32>,
     before: Array<u32>,
+    /// Sums of chunks, and their total.
+    chunk_totals: Array<u32>,
+    status: Array<u32>,
     lengths: Array<u32>,
     row_start: Array<u32>,
-    /// The sums before each Gaussian that this rank's band got, of those that go back, and their number.
+    /// The sums before each Gaussian of other ranks that this rank's band got, of those that go back, and their number.
     back: Vec<u32>,
     /// Sums that go to others, by Gaussian.
     ordered: Array<R>,
@@ -105,6 +110,7 @@ impl<R: Real> Route<R> {
             ranks,
             trips: (0..parts).map(trip).collect::<Result<_>>()?,
             stride: 0,
+            own: 0,
             bands: ints("bands", ranks + 1)?,
             spans: ints("spans", 0)?,
             place: ints("place", 0)?,
@@ -113,6 +119,8 @@ impl<R: Real> Route<R> {
             shifts: ints("shifts", ranks)?,
             wanted: ints("wanted", 0)?,
             before: ints("before", 0)?,
+            chunk_totals: ints("chunk_totals", program.chunks())?,
+            status: ints("status", status::SLOTS)?,
             lengths: ints("lengths", 0)?,
             row_start: ints("row_start", 0)?,
             back: vec![0],
@@ -143,6 +151,7 @@ impl<R: Real> Route<R> {
 
     /// Divides so many rows into the parts; each begins a run of the optimiser.
     pub fn divide(&mut self, device: &Device, count: usize) -> Result<()> {
+        self.own = count;
         let (run, parts) = (self.program.defines().tuning.update_run(), self.trips.len());
         // Parts begin apart even where there is no row: PoCL compiles kernels that begin at 0 for themselves, and warming up runs both.
         let first = |k: usize| (k * count / parts + k).next_multiple_of(run);
@@ -160,7 +169,7 @@ impl<R: Real> Route<R> {
     }
 
     /// Finds the Gaussians of a part of the rows of a view that each band gets; returns the message for each rank, keys before records. Those
-    /// of this rank's own band stay on the device ([`Route::receive`]): no word. Waits.
+    /// of this rank's own band stay where they are, cut to it: no word. Waits.
     pub fn send(
         &mut self,
         device: &Device,
@@ -199,6 +208,11 @@ impl<R: Real> Route<R> {
             messages.push(words);
             end += n;
         }
+        self.own("route_stay", &rows)
+            .uints([self.rank])
+            .array(&view.records, rows.end)
+            .arrays([&view.keys, &view.isect_counts], rows.end)
+            .over_items([rows.len(), 1])?;
         Ok(messages)
     }
 
@@ -230,12 +244,12 @@ impl<R: Real> Route<R> {
         over_bands(launch, chunks, ranks.len())
     }
 
-    /// Rows of the view sent last that each band got, in the order in which it got them; waits.
+    /// Rows of the view sent last that each band got, in the order in which it got them; those in the own band are all. Waits.
     ///
     /// # Errors
     /// The driver's.
-    pub fn sent_rows(&self, view: &ViewBuffers<R>) -> Result<Vec<Vec<u32>>> {
-        let (spans, bands) = (self.spans.read(0, view.count)?, self.bands.to_vec()?);
+    pub fn sent_rows(&self) -> Result<Vec<Vec<u32>>> {
+        let (spans, bands) = (self.spans.read(0, self.own)?, self.bands.to_vec()?);
         let rows = |band: &[u32]| -> Vec<u32> {
             let touches = |span: &u32| {
                 let [first, end] = [span & 0xffff, span >> 16];
@@ -244,11 +258,13 @@ impl<R: Real> Route<R> {
             let rows = (0..).zip(&spans).filter(|(_, span)| touches(span));
             rows.map(|(row, _)| row).collect()
         };
-        Ok(bands.windows(2).map(rows).collect())
+        let mut sent: Vec<Vec<u32>> = bands.windows(2).map(rows).collect();
+        sent[self.rank] = (0..self.own as u32).collect();
+        Ok(sent)
     }
 
-    /// Takes the messages of [`Route::send`] of all ranks for this one, by part: records and keys of a view of the band, one rank's after the
-    /// other's, in the order of its rows; this rank's own come from `home`, the view of its rows.
+    /// Takes the messages of [`Route::send`] of all ranks for this one, by part: records and keys behind the rows of the view, one rank's after the
+    /// other's, in the order of its rows.
     ///
     /// # Errors
     /// Messages of another shape, no room, or the driver's.
@@ -256,33 +272,29 @@ impl<R: Real> Route<R> {
         &mut self,
         device: &Device,
         messages_by_part: Vec<Vec<Vec<u32>>>,
-        (home, view): (&ViewBuffers<R>, &mut ViewBuffers<R>),
+        view: &mut ViewBuffers<R>,
     ) -> Result<()> {
-        let mut end = 0;
+        let mut end = self.own;
         for rank in 0..self.ranks {
+            if rank == self.rank {
+                view.early = self.own..end;
+                continue;
+            }
             for (trip, messages) in self.trips.iter_mut().zip(&messages_by_part) {
                 let words = messages.get(rank).map_or(0, Vec::len);
-                let n = match rank == self.rank {
-                    true => trip.sent_counts[rank],
-                    false if !words.is_multiple_of(routed_words::<R>()) => {
-                        let what = format!("{words} words are no records");
-                        return Err(Error::numerics("exchange", what));
-                    }
-                    false => words / routed_words::<R>(),
-                };
+                if !words.is_multiple_of(routed_words::<R>()) {
+                    let what = format!("{words} words are no records");
+                    return Err(Error::numerics("exchange", what));
+                }
+                let n = words / routed_words::<R>();
                 trip.got[rank] = end..end + n;
                 end += n;
             }
         }
         view.count = end;
-        if view.keys.len() < view.count {
-            view.fit_gaussians(device, view.count + view.count / 4)?;
-        }
+        view.grow_gaussians(device, view.count, self.own)?;
         let mut written = Vec::new();
-        for (part, (trip, messages)) in self.trips.iter().zip(&messages_by_part).enumerate() {
-            let to = (&view.keys, &view.records);
-            let own = self.rank..self.rank + 1;
-            self.pack(part, (own, trip.got[self.rank].start), home, to)?;
+        for (trip, messages) in self.trips.iter().zip(&messages_by_part) {
             for (rank, (got, message)) in trip.got.iter().zip(messages).enumerate() {
                 let (first, n) = (got.start, got.len());
                 if rank != self.rank {
@@ -304,55 +316,55 @@ impl<R: Real> Route<R> {
         spare.truncate(most);
     }
 
-    /// Gaussians that this rank's band got of a rank, in its view.
+    /// Gaussians that this rank's band got of a rank, in the view; of its own rows those that are elsewhere, too.
     #[must_use]
     pub fn got(&self, rank: usize) -> Range<usize> {
+        if rank == self.rank {
+            return 0..self.own;
+        }
         let of = |trip: &Trip<R>| trip.got[rank].clone();
         let (first, last) = (self.trips.first().map(of), self.trips.last().map(of));
         first.map_or(0, |got| got.start)..last.map_or(0, |got| got.end)
     }
 
     /// Brings the sums of the pairs of this rank's band that are of other ranks' Gaussians into the order of these, to go back
-    /// ([`Route::to_return`]); its own stay where they are, in the view of `pairs` pairs. Waits.
+    /// ([`Route::to_return`]); its own stay where they are, among the `pairs` of the view. Waits.
     pub fn give_back(
         &mut self,
         device: &Device,
         scan: &Program,
         (view, pairs): (&ViewBuffers<R>, usize),
     ) -> Result<()> {
-        fit(device, &mut self.lengths, view.count)?;
-        fit(device, &mut self.row_start, view.count)?;
-        let own = self.got(self.rank);
-        self.band("route_lengths", view)
-            .uints([own.start, own.end])
-            .array(&self.lengths, view.count)
-            .over_items([view.count, 1])?;
+        let (own, count) = (self.own, view.count);
+        let others = count - own;
+        fit(device, &mut self.lengths, others)?;
+        fit(device, &mut self.row_start, others)?;
         let lengths = [&self.lengths, &self.row_start];
-        scan::sum_pairs(scan, view, view.count, lengths)?;
+        let over = |kernel| {
+            let launch = self.program.launch(kernel).uints([own, count]);
+            launch.array(&view.isect_counts, count)
+        };
+        let (band, rows) = (&view.band, view.camera.tiles[1] as usize);
+        over("route_lengths")
+            .array(&view.records, count)
+            .uints([band.start, band.end, rows])
+            .array(&self.lengths, others)
+            .over_items([others, 1])?;
+        scan::sum_pairs(scan, &self.totals(), others, lengths)?;
         let sections = [
-            self.row_start.section(0, own.start)?,
-            self.row_start.section(own.end, view.count - own.end)?,
-            view.status.section(status::INTERSECTIONS as usize, 1)?,
+            self.row_start.section(0, others)?,
+            self.status.section(status::INTERSECTIONS as usize, 1)?,
         ];
         read_sections(&sections, 0, &mut self.back)?;
-        let others = self.back[self.back.len() - 1];
-        // None of its own goes back.
-        let at_own = self.back[own.start];
-        let stay = std::iter::repeat_n(at_own, own.len());
-        self.back.splice(own.start..own.start, stay);
+        let back = self.back[others] as usize;
         self.there = pairs;
-        fit(device, &mut self.ordered, others as usize * SUMS)?;
-        for rows in [0..own.start, own.end..view.count] {
-            self.program
-                .launch("route_return")
-                .uints([rows.start, rows.end])
-                .arrays([&view.isect_counts, &view.isect_start], rows.end)
-                .arrays(lengths, rows.end)
-                .array(&view.sums, pairs * SUMS)
-                .array(&self.ordered, others as usize * SUMS)
-                .over_items([rows.len(), 1])?;
-        }
-        Ok(())
+        fit(device, &mut self.ordered, back * SUMS)?;
+        over("route_return")
+            .array(&view.isect_start, count)
+            .arrays(lengths, others)
+            .array(&view.sums, pairs * SUMS)
+            .array(&self.ordered, back * SUMS)
+            .over_items([others, 1])
     }
 
     /// The message for each rank about its Gaussians of a part: the sums before each of them and all of them, then the sums. Own ones are there:
@@ -367,7 +379,7 @@ impl<R: Real> Route<R> {
                 messages.push(Vec::new());
                 continue;
             }
-            let starts = &self.back[got.start..=got.end];
+            let starts = &self.back[got.start - self.own..=got.end - self.own];
             let (first, end) = (starts[0] as usize, starts[got.len()] as usize);
             let mut words = self.spare[RETURNED].pop().unwrap_or_default();
             // What is there is written over.
@@ -383,7 +395,7 @@ impl<R: Real> Route<R> {
     }
 
     /// Takes the messages of [`Route::to_return`] of all ranks for a part of the rows of a view: pairs and their sums, by bands from top to
-    /// bottom, beside the sums of `band`, the view of this rank's own band, which it has got. Parts come in their order.
+    /// bottom, those of this rank's own band among them. Parts come in their order.
     ///
     /// # Errors
     /// Messages of another shape, no room, or the driver's.
@@ -392,7 +404,7 @@ impl<R: Real> Route<R> {
         device: &Device,
         scan: &Program,
         (part, messages): (usize, Vec<Vec<u32>>),
-        (view, band): (&mut ViewBuffers<R>, &ViewBuffers<R>),
+        view: &mut ViewBuffers<R>,
     ) -> Result<()> {
         let words = size_of::<R>() / size_of::<u32>() * SUMS;
         let trip = &self.trips[part];
@@ -437,18 +449,18 @@ impl<R: Real> Route<R> {
         write_sections(&written)?;
         let rows = trip.rows.clone();
         self.keep(RETURNED, messages.into_iter());
-        self.returning("route_pairs", part, band)
+        self.returning("route_pairs", part)
             .arrays([&view.isect_counts, &view.isect_start], rows.end)
             .array(&self.wanted, rows.len())
             .over_items([rows.len(), 1])?;
         let places = [&self.wanted, &self.before];
-        scan::sum_pairs(scan, view, rows.len(), places)?;
-        let together = view.pairs_found()? as usize;
+        scan::sum_pairs(scan, &self.totals(), rows.len(), places)?;
+        let together = self.status.read(status::INTERSECTIONS as usize, 1)?[0] as usize;
         self.check_pairs(end + together)?;
         view.fit_sums(device, end + together, end)?;
         self.there = end + together;
         self.most = self.most.max(self.there);
-        self.returning("route_sums", part, band)
+        self.returning("route_sums", part)
             .arrays(places, rows.len())
             .uints([end])
             .array(&view.isect_start, rows.end)
@@ -476,26 +488,22 @@ impl<R: Real> Route<R> {
             .array(&self.bands, self.ranks + 1)
     }
 
-    /// A sweep over the Gaussians that a band got.
-    fn band(&self, kernel: &'static str, view: &ViewBuffers<R>) -> Launch<'_> {
-        let rows = view.camera.tiles[1] as usize;
-        self.program
-            .launch(kernel)
-            .array(&view.records, view.count)
-            .uints([view.count, view.band.start, view.band.end, rows])
-            .array(&view.isect_counts, view.count)
-    }
-
-    /// A sweep over a part of the rows of a view that takes what has come back, and what this rank's own band has.
-    fn returning(&self, kernel: &'static str, part: usize, band: &ViewBuffers<R>) -> Launch<'_> {
-        let own_first = self.trips[part].got[self.rank].start;
+    /// A sweep over a part of the rows of a view that takes what has come back.
+    fn returning(&self, kernel: &'static str, part: usize) -> Launch<'_> {
         self.own(kernel, &self.rows(part))
-            .uints([self.ranks, self.stride])
+            .uints([self.ranks, self.rank, self.stride])
             .array(&self.place, self.ranks * self.stride)
             .array(&self.starts, 1)
             .arrays([&self.offsets, &self.shifts], self.ranks)
-            .uints([self.rank, own_first])
-            .arrays([&band.isect_start, &band.isect_counts], band.count)
+    }
+
+    /// Arrays in which pairs that come and go are added up.
+    fn totals(&self) -> Totals<'_> {
+        Totals {
+            chunk_sums: &self.chunk_totals,
+            status: &self.status,
+            most: u32::MAX as usize,
+        }
     }
 }
 

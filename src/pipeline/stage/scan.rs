@@ -2,32 +2,42 @@
 
 use crate::base::error::Result;
 use crate::device::tuning::status::{INTERSECTIONS, SLOTS};
-use crate::device::{Array, Launch, Program, Real};
-use crate::pipeline::buffers::ViewBuffers;
+use crate::device::{Array, Launch, Program};
+
+/// Sums of the chunks of what is added up, the status that gets the total, and the total beyond which it raises the overflow flag instead.
+#[derive(Debug, Clone, Copy)]
+pub struct Totals<'a> {
+    /// One number for each chunk.
+    pub chunk_sums: &'a Array<u32>,
+    /// Counters.
+    pub status: &'a Array<u32>,
+    /// The largest total.
+    pub most: usize,
+}
 
 /// Writes the sums of the pairs before each of `n` elements and the number of pairs to the status; more pairs than there is
 /// room for raise the overflow flag.
-pub fn sum_pairs<R: Real>(
+pub fn sum_pairs(
     stage: &Program,
-    view: &ViewBuffers<R>,
+    totals: &Totals<'_>,
     n: usize,
     [values, sums]: [&Array<u32>; 2],
 ) -> Result<()> {
-    over_values(stage, "scan_sums", values, n, &view.pair_sums).over_groups(stage.chunks())?;
-    sum_counted(stage, view, n, [values, sums])
+    over_values(stage, "scan_sums", values, n, totals.chunk_sums).over_groups(stage.chunks())?;
+    sum_counted(stage, totals, n, [values, sums])
 }
 
-/// The same where the sums of the chunks are in `pair_sums` already.
-pub fn sum_counted<R: Real>(
+/// The same where the sums of the chunks are there already.
+pub fn sum_counted(
     stage: &Program,
-    view: &ViewBuffers<R>,
+    totals: &Totals<'_>,
     n: usize,
     [values, sums]: [&Array<u32>; 2],
 ) -> Result<()> {
-    over_values(stage, "scan_write", values, n, &view.pair_sums)
+    over_values(stage, "scan_write", values, n, totals.chunk_sums)
         .array(sums, n)
-        .array(&view.status, SLOTS)
-        .uints([INTERSECTIONS as usize, view.capacity])
+        .array(totals.status, SLOTS)
+        .uints([INTERSECTIONS as usize, totals.most])
         .over_groups(stage.chunks())
 }
 
