@@ -82,14 +82,14 @@ static inline uint cell_of(float x, const __global uint *grid) {
 }
 
 // Number of the layer of a position, the topmost 0: the bits of a float are a logarithm that is a straight line between powers of two. Every step
-// is rounded once, in the same way everywhere.
+// is rounded once, in the same way everywhere; heights that some devices flush to 0 are in the layer of 0.
 static inline uint layer_of(const float x[3], float up_x, float up_y, float up_z) {
   const uint half_of = 1u << (LAYER_BITS - 1);
   const float height = fma(x[0], up_x, fma(x[1], up_y, x[2] * up_z));
   const float stretched = 1.0f + 2.0f * fabs(height);
   const uint logarithm = (as_uint(stretched) - as_uint(1.0f)) >> (23 - OCTAVE_BITS);
   const uint away = stretched < INFINITY ? min(logarithm, half_of - 1) : half_of - 1;
-  return height > 0.0f ? half_of - 1 - away : half_of + away;
+  return height >= FLT_MIN ? half_of - 1 - away : half_of + away;
 }
 
 // The low bits with two zeros between neighbours; there is room for 21.

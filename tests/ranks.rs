@@ -1,5 +1,7 @@
 //! Several devices that train one scene: the same bits as one.
 
+mod counted;
+
 use std::fs;
 use std::path::Path;
 use std::sync::Arc;
@@ -234,29 +236,6 @@ fn ranks_that_decide_differently_end_the_run() {
         run(1).unwrap();
         let said = run(2).unwrap_err().to_string();
         assert!(said.contains("decided a density step otherwise"), "{said}");
-    }
-}
-
-/// Gradients that are not finite are counted once each, whoever has them.
-#[test]
-fn ranks_count_what_is_not_finite_once() {
-    let data = room(64);
-    let mut config = sampled(Sampler::None);
-    config.optimizer.lr_sh0 = 1e38;
-    // Gradients of 1e18 and more count as not finite.
-    config.loss.lambda_opacity = 1e30;
-    let (mut alone, _) = trained(&data, &config, 20);
-    let want = alone.state();
-    let mut together = shared(&data, &config, None, 2);
-    together.advance_to(20).unwrap();
-    together.count_non_finite().unwrap();
-    assert!(alone.non_finite() > 0);
-    assert_eq!(together.non_finite(), alone.non_finite());
-    let got = together.state();
-    assert_eq!(together.non_finite(), alone.non_finite());
-    match (got, want) {
-        (Ok(got), Ok(want)) => same(&got, &want),
-        (got, want) => assert!(got.is_err() && want.is_err()),
     }
 }
 

@@ -21,7 +21,7 @@ pub struct WorkConfig {
     /// A run with a time budget into which fewer iterations fit trains at 3/4 of the photos' size, and at 9/16 where fewer than half as
     /// many fit then (0: at the size asked for, however few). A third of it for transparent photos, which lose more by a smaller size.
     pub resolution_iterations: u32,
-    /// Morton order of the Gaussians, so that neighbours in space are neighbours in memory.
+    /// Morton order of the Gaussians, in layers from the top, so that neighbours in space are neighbours in memory.
     pub morton_order: bool,
     /// Iterations that training goes on for while a density step is decided, at most half of the interval between two; 0: it waits (absent:
     /// 16, or a sixth of the interval if that is less, on devices that are not the processor that decides, else 0).

@@ -178,8 +178,8 @@ pub struct ViewBuffers<R: Real> {
     pub band: Range<usize>,
     /// Gaussians of the view rendered last.
     pub count: usize,
-    /// Those of them that come before all others in the order of the whole set and stand behind the first of these here: other ranks', where the
-    /// rows that are here have come first in memory.
+    /// Range of the Gaussians of ranks before this one, which stand behind its own rows here and come first in the order of the whole set; empty
+    /// where nobody shares the view.
     pub early: Range<usize>,
     /// Projected Gaussians: mean, conic, opacity, colour.
     pub records: Array<Projected<R>>,
@@ -267,15 +267,20 @@ impl<R: Real> ViewBuffers<R> {
         }
         let ints = |name| Array::<u32>::zeros(device, name, stride);
         self.records = Array::zeros(device, "records", stride)?;
-        self.keys = ints("keys")?;
         self.isect_counts = ints("isect_counts")?;
         self.isect_start = ints("isect_start")?;
         self.visible = SortBuffers::new(device, VISIBLE, stride)?;
         self.cover = Array::zeros(device, "cover", 2 * stride)?;
+        // The last: they tell that there is room.
+        self.keys = ints("keys")?;
         Ok(())
     }
 
-    /// Makes room for a quarter more than `count` Gaussians, if there is none for them, and keeps what has been projected of the first `kept`.
+    /// Makes room for `count` Gaussians, if there is none for them, a quarter more where it can be had, and keeps what has been projected of the
+    /// first `kept`.
+    ///
+    /// # Errors
+    /// No room; what has been projected is lost then.
     pub fn grow_gaussians(&mut self, device: &Device, count: usize, kept: usize) -> Result<()> {
         if self.keys.len() >= count {
             return Ok(());
@@ -284,7 +289,8 @@ impl<R: Real> ViewBuffers<R> {
         let none = || Array::zeros(device, "keys", 0);
         let keys = std::mem::replace(&mut self.keys, none()?);
         let pairs = std::mem::replace(&mut self.isect_counts, none()?);
-        self.fit_gaussians(device, count + count / 4)?;
+        self.fit_gaussians(device, count + count / 4)
+            .or_else(|_| self.fit_gaussians(device, count))?;
         self.records.copy_from(0, &records, 0, kept)?;
         self.keys.copy_from(0, &keys, 0, kept)?;
         self.isect_counts.copy_from(0, &pairs, 0, kept)

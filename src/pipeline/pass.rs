@@ -222,7 +222,7 @@ impl<R: Real> Pipeline<R> {
     }
 
     /// Brings the sums of a part of the `count` rows that are here, waiting for other ranks where they share the view; returns the rows. Parts
-    /// come one after the other, and what is enqueued for one is done while the next is on its way.
+    /// come one after the other, once for each render, and what is enqueued for one is done while the next is on its way.
     ///
     /// # Errors
     /// No room, another rank's failure, or the driver's.

@@ -66,7 +66,7 @@ pub struct Share<R: Real> {
     exchange: Arc<dyn Exchange>,
     route: Route<R>,
     scan: Program,
-    /// A status that nobody reads.
+    /// Counters of what the leader counts for all; nobody reads them.
     pub uncounted: Array<u32>,
     /// Pairs of the view composited last.
     pairs: usize,

@@ -12,11 +12,11 @@ pub const LAYER_BITS: u32 = 7;
 /// Layers in which 1 + 2 |height| doubles, heights in local units, from that of the origin on: 2 to the power of this.
 pub const OCTAVE_BITS: u32 = 3;
 
-/// The direction that is up of a set of Gaussians that has none: all of them are one layer.
+/// The direction that is up of a set of Gaussians that has none: all finite positions are one layer.
 pub const NO_UP: [f32; 3] = [0.0; 3];
 
 /// Rows in the order of their layers from the top, for the direction that is up, and in each of their Morton codes over the bounding box, ties
-/// by row. Slices of equal length, local units; a position that is not finite counts as the box's corner.
+/// by row. Slices of equal length, local units; a position that is not finite is in a layer at either end, and counts as the box's corner there.
 #[must_use]
 pub fn order(positions: [&[f32]; 3], up: [f32; 3]) -> Vec<u32> {
     let scales = positions.map(|axis| {
@@ -44,7 +44,8 @@ pub fn order(positions: [&[f32]; 3], up: [f32; 3]) -> Vec<u32> {
 }
 
 /// Number of the layer of a position, local units: the topmost is 0, and half of them are above the origin. The bits of a float
-/// are a logarithm that is a straight line between powers of two, and every step is rounded once, so that all devices have the same.
+/// are a logarithm that is a straight line between powers of two, and every step is rounded once, so that all devices have the same; heights that
+/// some flush to 0 are in its layer.
 #[must_use]
 pub fn layer([x, y, z]: [f32; 3], up: [f32; 3]) -> u32 {
     let half = 1u32 << (LAYER_BITS - 1);
@@ -55,7 +56,7 @@ pub fn layer([x, y, z]: [f32; 3], up: [f32; 3]) -> u32 {
         false => half,
     };
     let away = away.min(half - 1);
-    if height > 0.0 {
+    if height >= f32::MIN_POSITIVE {
         half - 1 - away
     } else {
         half + away

@@ -38,7 +38,7 @@ pub struct Crew {
     process_seconds: [f64; 2],
     /// First row of each rank, and the number of all, when they were divided last.
     rows: Vec<usize>,
-    /// Non-finite gradient values of the other ranks, and of before there were any.
+    /// Non-finite gradient values of the other ranks.
     non_finite: Vec<u64>,
     /// False while the others may be amidst something.
     pub at_rest: bool,
@@ -181,7 +181,7 @@ impl Crew {
         self.worked
     }
 
-    /// Notes the non-finite gradient values of another rank, or, for the leader, those of before there were ranks.
+    /// Notes the non-finite gradient values of another rank.
     pub fn note_non_finite(&mut self, rank: usize, values: u64) {
         self.non_finite[rank] = values;
     }

@@ -42,8 +42,6 @@ pub struct Learned {
     /// First iteration with exposure compensation; `None` so far without it.
     #[serde(default)]
     pub exposed_from: Option<u32>,
-    /// Direction that is up, after which rows are ordered; [`morton::NO_UP`] if the cameras agree on none.
-    pub up: [f32; 3],
     /// Gaussians removed at the end because no training view shows them.
     pub removed: u64,
     /// Iteration after which the run was finished; a run that continues from there is finished again.

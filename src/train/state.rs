@@ -3,7 +3,6 @@
 use crate::base::error::Result;
 use crate::density::DensityStats;
 use crate::device::tuning::status;
-use crate::ranks::LEADER;
 use crate::scene::Gaussians;
 use crate::train::decision::PendingStep;
 use crate::train::gaussians::{GaussianRows, mismatch};
@@ -106,9 +105,6 @@ impl Trainer {
         self.control.trace.take_if(|_| state.iteration > 0);
         self.control.noted = self.control.noted.take().map(|_| Noted::default());
         self.counters.non_finite = state.non_finite;
-        if let Some(crew) = &mut self.crew {
-            crew.note_non_finite(LEADER, state.non_finite);
-        }
         let slot = status::NON_FINITE as usize;
         let non_finite = state.non_finite.min(u64::from(u32::MAX)) as u32;
         let frame = &self.pipeline.forward.frame;

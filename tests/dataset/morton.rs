@@ -1,4 +1,4 @@
-//! Order along the Z curve.
+//! Order by layers and along the Z curve.
 
 use mhsplat::scene::{Gaussians, Plane, morton};
 

@@ -1,4 +1,4 @@
-//! morton: the order of rows along the Z curve, to the bit that of the host's f64.
+//! morton: the order of rows by layers and along the Z curve, to the bit that of the host's f64.
 
 use super::*;
 use mhsplat::base::rng::{Philox, Stream};

@@ -63,18 +63,32 @@ fn bands_get_the_gaussians_that_touch_them_cut_to_their_rows() {
             };
             if rank == 2 {
                 assert_eq!(sent, 0, "they stay");
-                let messages = vec![vec![Vec::new(); 3]; 2];
+                // What it sent to the first comes back, as if of that and of the one in the middle: it stands behind, and comes first.
+                let sent = &halves[0][0];
+                let messages = vec![vec![sent.clone(), sent.clone(), Vec::new()]; 2];
                 stage.receive(&device, messages, &mut view).unwrap();
-                assert_eq!((view.count, stage.got(2)), (900, 0..900));
-                let got = view.records.read(0, 900).unwrap();
-                let got_keys = view.keys.read(0, 900).unwrap();
+                let n = sent.len() / words::<f64>();
+                let end = 900 + 4 * n;
+                assert!(n > 0 && view.count == end && view.early == (900..end));
+                let got = [0, 1, 2].map(|from| stage.got(from));
+                assert_eq!(got, [900..900 + 2 * n, 900 + 2 * n..end, 0..900]);
+                let got = view.records.read(0, end).unwrap();
+                let got_keys = view.keys.read(0, end).unwrap();
+                assert_eq!(got[900..900 + n], got[end - n..]);
+                let spans = view.isect_counts.read(0, 900).unwrap();
                 let mut here = want.into_iter().peekable();
                 for i in 0..900 {
                     match here.next_if(|(k, _)| *k == i) {
                         Some((_, rows)) => {
                             assert_eq!((got[i], got_keys[i]), expected(i, rows), "{i}");
                         }
-                        None => assert_eq!(got_keys[i], KEY_CULLED, "{i} is elsewhere"),
+                        None => {
+                            assert_eq!(
+                                (got_keys[i], spans[i]),
+                                (KEY_CULLED, 0),
+                                "{i} is elsewhere"
+                            );
+                        }
                     }
                 }
                 continue;
@@ -209,10 +223,10 @@ fn pass(case: &Case, tuning: Tuning, part: Option<Part>) -> (Sums, Vec<f32>) {
         }
     }
     assert_eq!(taken, scene.count);
-    let home = pipeline.frame();
-    let starts = home.isect_start.read(0, scene.count).unwrap();
-    let counts = home.isect_counts.read(0, scene.count).unwrap();
-    let sums = home.sums.to_vec().unwrap();
+    let frame = pipeline.frame();
+    let starts = frame.isect_start.read(0, scene.count).unwrap();
+    let counts = frame.isect_counts.read(0, scene.count).unwrap();
+    let sums = frame.sums.to_vec().unwrap();
     let of = |(start, count): (u32, u32)| {
         let [from, n] = [start, count].map(|v| v as usize * SUMS);
         let mut total = vec![0.0f32; SUMS];

@@ -368,11 +368,8 @@ impl<'a> Definitions<'a> {
             plane.map(|v| *v as f32).collect()
         };
         let [x, y, z] = [0, 1, 2].map(axis);
-        let up = self
-            .data
-            .up()
-            .map_or(morton::NO_UP, |up| up.as_vec3().into());
-        let mut order = morton::order([&x, &y, &z], up);
+        let up = self.data.up().expect("photos that stand upright").as_vec3();
+        let mut order = morton::order([&x, &y, &z], up.into());
         order.retain(|row| !outcome.removed.contains(row));
         let [m, v] = &mut self.moments;
         for plane in self.scene.planes.iter_mut().chain(m).chain(v) {

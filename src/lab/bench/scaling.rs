@@ -297,19 +297,23 @@ impl Scaling {
         [one, if xx > 0.0 { (xy / xx).max(0.0) } else { 0.0 }]
     }
 
-    /// Bytes that one of so many ranks sends: of all Gaussians those that leave, a·(R − 1)/R², and what bands cut or have at their borders,
-    /// b·(R − 1)/R, by two and four ranks.
+    /// Bytes that one of so many ranks sends: the share of what it has in sight ([`Scaling::bound`]) that leaves it. From four ranks on
+    /// it grows with every doubling as from two to four, until all leave.
     fn bytes(&self, ranks: usize) -> f64 {
-        let sent = |ranks| {
+        let share = |ranks| {
             let shared = self.of(ranks);
-            shared.map_or(0.0, |s| s.bytes.iter().map(|(_, bytes)| bytes).sum::<f64>())
+            let sent = shared.map_or(0.0, |s| s.bytes.iter().map(|(_, bytes)| bytes).sum::<f64>());
+            sent / self.bound(ranks)
         };
-        let [two, four] = [2, 4].map(sent);
-        // 1/4 a + 1/2 b = two, 3/16 a + 3/4 b = four.
-        let b = ((four - 0.75 * two) / 0.375).max(0.0);
-        let a = 4.0 * (two - 0.5 * b);
-        let r = ranks as f64;
-        (a / r + b) * (r - 1.0) / r
+        let [two, four] = [2, 4].map(share);
+        let doublings = (ranks as f64).log2() - 2.0;
+        let leaves = match ranks {
+            1 => 0.0,
+            2 => two,
+            3 | 4 => two + (doublings + 1.0) * (four - two),
+            _ => (four * (four / two).max(1.0).powf(doublings)).clamp(four, four.max(1.0)),
+        };
+        leaves * self.bound(ranks)
     }
 
     /// Seconds of an iteration by so many ranks, each with the cores that one has here, over a network.
@@ -429,7 +433,8 @@ impl Scaling {
                     "{}, as many nodes as ranks: model of the speed-up",
                     self.title()
                 ),
-                "In brackets the largest part of an iteration's time. Density steps and evaluations are not in it.",
+                "In brackets the largest part of an iteration's time. The share of what a rank has in sight that leaves it grows from four ranks \
+                 on as from two to four. Density steps and evaluations are not in the model.",
                 &["ranks", "kB sent by one", a, b, c],
                 TOLD.iter().map(model),
             )),
@@ -470,8 +475,11 @@ mod tests {
 
     #[test]
     fn the_model_goes_through_what_was_measured() {
-        // 100 ms, 2 more for each rank; a = 8 MB, b = 1 MB.
-        let bytes = |r: f64| (8e6 / r + 1e6) * (r - 1.0) / r;
+        // 100 ms, 2 more for each rank; 84 MB in sight, of which a tenth leaves two ranks, three tenths four.
+        let bytes = |r: f64| {
+            let share = [0.0, 0.1, 0.3, 0.9, 1.0][(r.log2() as usize).min(4)];
+            84e6 / r * share
+        };
         let of = |ranks: usize| {
             let r = ranks as f64;
             shared(
@@ -484,13 +492,13 @@ mod tests {
             gaussians: 1,
             size: 1,
             shared: vec![of(1), of(2), of(4)],
-            visible: 1000.0,
+            visible: 1e6,
             beside_ms: None,
             speedup: None,
             speedup_beside: None,
         };
         assert_eq!(scaling.compute(), [100.0, 2.0]);
-        for ranks in [1, 2, 4, 64] {
+        for ranks in [1, 2, 4, 8, 64] {
             let (got, want) = (scaling.bytes(ranks), bytes(ranks as f64));
             assert!((got - want).abs() < 1e-3, "{ranks}: {got} {want}");
         }
@@ -501,6 +509,6 @@ mod tests {
         assert!((fast.compute - 0.051).abs() < 1e-9);
         assert_eq!(scaling.predict(1, NETWORKS[0]).total(), 0.1);
         // A record of 48 bytes and nine sums, of half of the visible Gaussians.
-        assert_eq!(scaling.bound(2), 1000.0 * (48.0 + 36.0) / 2.0);
+        assert_eq!(scaling.bound(2), 1e6 * (48.0 + 36.0) / 2.0);
     }
 }

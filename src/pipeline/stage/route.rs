@@ -181,7 +181,7 @@ impl<R: Real> Route<R> {
         self.spans
             .copy_from(rows.start, &view.isect_counts, rows.start, rows.len())?;
         let sums = &self.trips[part].chunk_sums;
-        let launch = self.own("route_count", &rows).uints([chunks]);
+        let launch = self.over_rows("route_count", &rows).uints([chunks]);
         over_bands(launch.array(sums, ranks * chunks), chunks, ranks)?;
         let counted = sums.read(0, ranks * chunks)?;
         let total = |of: &[u32]| of.iter().map(|n| *n as usize).sum();
@@ -208,7 +208,7 @@ impl<R: Real> Route<R> {
             messages.push(words);
             end += n;
         }
-        self.own("route_stay", &rows)
+        self.over_rows("route_stay", &rows)
             .uints([self.rank])
             .array(&view.records, rows.end)
             .arrays([&view.keys, &view.isect_counts], rows.end)
@@ -231,7 +231,7 @@ impl<R: Real> Route<R> {
             return Ok(());
         }
         let launch = self
-            .own("route_pack", &rows)
+            .over_rows("route_pack", &rows)
             .uints([chunks])
             .array(&trip.chunk_sums, self.ranks * chunks)
             .array(&view.records, rows.end)
@@ -395,7 +395,7 @@ impl<R: Real> Route<R> {
     }
 
     /// Takes the messages of [`Route::to_return`] of all ranks for a part of the rows of a view: pairs and their sums, by bands from top to
-    /// bottom, those of this rank's own band among them. Parts come in their order.
+    /// bottom, those of this rank's own band among them. Parts come in their order, once for each render.
     ///
     /// # Errors
     /// Messages of another shape, no room, or the driver's.
@@ -480,7 +480,7 @@ impl<R: Real> Route<R> {
     }
 
     /// A sweep over rows of a view.
-    fn own(&self, kernel: &'static str, rows: &Range<usize>) -> Launch<'_> {
+    fn over_rows(&self, kernel: &'static str, rows: &Range<usize>) -> Launch<'_> {
         self.program
             .launch(kernel)
             .array(&self.spans, rows.end)
@@ -490,7 +490,7 @@ impl<R: Real> Route<R> {
 
     /// A sweep over a part of the rows of a view that takes what has come back.
     fn returning(&self, kernel: &'static str, part: usize) -> Launch<'_> {
-        self.own(kernel, &self.rows(part))
+        self.over_rows(kernel, &self.rows(part))
             .uints([self.ranks, self.rank, self.stride])
             .array(&self.place, self.ranks * self.stride)
             .array(&self.starts, 1)
