@@ -314,13 +314,16 @@ impl<R: Real> Renderer<R> {
         seen.to_vec()
     }
 
-    /// Flags of the Gaussians of the view rendered last that its band shows; waits. `stage` is a build of `kernels/seen.cl`.
-    pub fn shown(&self, stage: &Program) -> Result<Vec<bool>> {
+    /// Flags of the Gaussians of the view rendered last that its band shows, or that are `known` of the first of them to have been shown before; waits.
+    /// `stage` is a build of `kernels/seen.cl`.
+    pub fn shown(&self, stage: &Program, known: &[bool]) -> Result<Vec<bool>> {
         if self.frame.count == 0 {
             // A kernel takes no empty array.
             return Ok(Vec::new());
         }
-        let seen = Array::zeros(&self.device, "seen", self.frame.count)?;
+        let mut flags: Vec<u32> = known.iter().map(|known| u32::from(*known)).collect();
+        flags.resize(self.frame.count, 0);
+        let seen = Array::from_slice(&self.device, "seen", &flags)?;
         let shown = Array::zeros(&self.device, "shown", self.frame.capacity)?;
         seen::mark(stage, &self.frame, &shown, &seen)?;
         Ok(seen.to_vec()?.into_iter().map(|flag| flag != 0).collect())

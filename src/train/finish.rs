@@ -87,7 +87,7 @@ impl Trainer {
         for camera in &self.views.set.cameras {
             share.divide_evenly(camera.image());
             share.render(forward, scene, camera, &options)?;
-            let shown = share.return_flags(&forward.shown(stage)?)?;
+            let shown = share.return_flags(&forward.shown(stage, &seen)?)?;
             seen.iter_mut()
                 .zip(shown)
                 .for_each(|(seen, shown)| *seen |= shown);

@@ -48,7 +48,7 @@ fn layers_come_from_the_top_whatever_lies_beside() {
     let up = [0.0, -0.6, 0.8];
     // Heights along `up`, far from each other to the side.
     let heights = [-40.0f32, -1.0, -0.3, 0.01, 0.3, 1.0, 40.0, 1e30];
-    let side = |i: usize| if i % 2 == 0 { 1000.0 } else { -1000.0 };
+    let side = |i: usize| if i.is_multiple_of(2) { 1000.0 } else { -1000.0 };
     let x: Vec<f32> = (0..heights.len()).map(side).collect();
     let [y, z] = [1, 2].map(|k| heights.map(|h| h * up[k]));
     let order = morton::order([&x, &y, &z], up);
