@@ -8,6 +8,7 @@ use crate::chart::text::{about, grouped};
 use crate::config::{Init, Preset, TrainConfig, TrainingSize};
 use crate::density::Expected;
 use crate::evaluate::Evaluator;
+use crate::run::footprint::Footprint;
 use crate::run::report::gallery::{GALLERY_VIEWS, data_uri, error_map};
 use crate::run::report::training::{SHOWN, VIEWS};
 use crate::train::Trainer;
@@ -193,6 +194,8 @@ pub(super) struct Forecast {
     /// Shortest time that a measurement is of, seconds.
     pub(super) shortest: f64,
     every: Every,
+    /// Memory of the run; `None` where it is not known.
+    footprint: Option<Footprint>,
     /// Seconds of an iteration of cost 1; `None` before the first measurement.
     unit: Option<f64>,
     /// Iterations, seconds and Gaussians where the present measurement began.
@@ -258,6 +261,7 @@ impl Forecast {
             ),
             pixels: trainer.largest_photo() as f64,
             size: config.last_size(),
+            footprint: Footprint::of(trainer, ranks),
             also: if exposed {
                 scored.0
             } else {
@@ -303,6 +307,7 @@ impl Forecast {
                 },
             ),
             ahead: None,
+            footprint: None,
             sizes,
             reached: u32::MAX,
             pixels: SMALL,
@@ -437,12 +442,15 @@ impl Forecast {
         self.measured
     }
 
-    /// The time `left` that a run of `iterations` is expected to take yet and the size of its scene, and the time of the presets beside it.
+    /// The time `left` that a run of `iterations` is expected to take yet, the size of its scene and its memory, and the time of the presets beside it.
     pub fn told(&self, iterations: u32, left: f64) -> String {
         let mut text = format!("{iterations} iterations: about {} left", about(left));
         if let Some(steps) = self.steps(iterations) {
             let n = steps.last().map_or(self.since.1.gaussians, |(_, n)| *n);
             let _ = write!(text, ", {} Gaussians", counted(n));
+            if let Some(footprint) = &self.footprint {
+                let _ = write!(text, ", {}", footprint.told(n));
+            }
         }
         let others = Preset::ALL.iter().filter(|p| p.iterations() != iterations);
         let times = others.filter_map(|p| {

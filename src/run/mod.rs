@@ -21,6 +21,7 @@ pub mod clock;
 pub mod density_trace;
 mod drive;
 mod export;
+mod footprint;
 mod forecast;
 pub mod live;
 mod open;
