@@ -115,8 +115,9 @@ static inline void walk_mask(uint mask, uint tx0, uint ty0, uint width, uint til
 // Gaussians in the order of the whole set, in which those of equal depth are: `early` of them, from early_first on, stand behind those that
 // come after them. In [count] depth bits or KEY_CULLED.
 #define KEY_ARGUMENTS __global const uint *keys, uint count, uint early_first, uint early
-// Place of Gaussian v of that order.
+// Place of Gaussian v of that order; where none is early, a loop over all of them is not to pay for it.
 static inline uint place_of(uint v, uint early_first, uint early) {
+  if (early == 0) return v;
   return v < early ? early_first + v : v < early_first + early ? v - early : v;
 }
 #define PLACE(v) place_of(v, early_first, early)
