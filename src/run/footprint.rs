@@ -10,13 +10,13 @@ const PHOTOS: f64 = 1.5;
 /// Bytes for each pixel of a view.
 const PIXEL: f64 = 181e-6 * MEBI;
 /// Bytes of ten thousand Gaussians, pairs, host copies, files and pages included, and the power of their number by which it grows. Fitted at fourteen
-/// runs of 4 to 400 thousand Gaussians and 0.01 to 6.3 megapixels, whose peaks are told within 11 % (docs/results/speed.md).
+/// runs of 4 to 400 thousand Gaussians and 0.01 to 6.3 megapixels, whose peaks are told within 12 % (docs/results/speed.md).
 const GAUSSIANS: f64 = 54.6 * MEBI;
 const GAUSSIANS_POWER: f64 = 0.85;
 
 const MEBI: f64 = 1_048_576.0;
 
-/// What the memory of a run on a CPU depends on beside the number of Gaussians.
+/// Figures that the memory of a run on a CPU depends on, beside the number of Gaussians.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Footprint {
     /// Bytes of the photos that are held at one time.
