@@ -24,7 +24,7 @@ fn main() -> Result<()> {
     let defines = Defines::new(tuning);
     let device = Device::open(None)?;
     let scene = GaussianBuffers::<f32>::upload(&device, &case.splats, 0)?;
-    let camera = CameraArg::new(&case.camera);
+    let camera = CameraArg::new(&case.camera, tuning.tile);
     let mut renderer = Renderer::new(&device, defines, case.sh_degree, true)?;
     renderer.render(&scene, &camera, &RenderOptions::default())?;
     let dimage = Array::from_slice(&device, "dimage", &vec![1.0; 3 * camera.image().plane()])?;

@@ -198,6 +198,8 @@ static inline void add_strips(__global const real *partial, uint strips, real sc
 #define REACH (LOSS_ROWS + 2 * RADIUS)    // rows that windows of LOSS_ROWS rows see
 #define HALO ((RADIUS + VW - 1) / VW) // vectors that a strip needs on either side; loads stay aligned
 #define VECTORS (STRIP / VW + 2 * HALO)
+// Those of the strip from column x0 on: the last one of a row may be short.
+#define VECTORS_OF(x0) min(VECTORS, (stride - (x0)) / VW + 2 * HALO)
 
 // Vertical windows of LOSS_ROWS consecutive rows, of REACH rows. The window is symmetric: 5 sums, 6 products.
 static inline void window_columns(const realV r[REACH], realV out[LOSS_ROWS]) {
@@ -275,7 +277,8 @@ CHUNK_KERNEL void loss_forward(FORWARD_ARGUMENTS, int write_error) {
   flag_active(skip, active_tiles, tile_start, x0, y0, RADIUS, stride, rows, active);
 #endif
   realV moments[4][LOSS_ROWS][VECTORS], differences[LOSS_ROWS][VECTORS];
-  for (int j = 0; j < VECTORS; j++) {
+  const int vectors = VECTORS_OF(x0);
+  for (int j = 0; j < vectors; j++) {
 #if SKIP_BLANK
     if (!in_reach(active, j)) continue;
 #endif
@@ -345,9 +348,10 @@ CHUNK_KERNEL void loss_backward(BACKWARD_ARGUMENTS) {
   int active[STRIP / VW];
   flag_active(skip, active_tiles, tile_start, x0, y0, 2 * RADIUS, stride, rows, active);
 #endif
+  const int vectors = VECTORS_OF(x0);
   realV windows[3][LOSS_ROWS][VECTORS];
   for (int m = 0; m < 3; m++)
-    for (int j = 0; j < VECTORS; j++) {
+    for (int j = 0; j < vectors; j++) {
 #if SKIP_BLANK
       if (!in_reach(active, j)) continue;
 #endif

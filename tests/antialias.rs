@@ -221,7 +221,7 @@ fn the_exported_scene_has_the_3d_filter_in_it_and_says_so() {
     assert!(ply::write_filtered(&plain, &state.splats, &[1.0], &Frame::IDENTITY).is_err());
 
     let camera = data.train[0].camera;
-    let arg = CameraArg::<f32>::new(&camera);
+    let arg = CameraArg::<f32>::new(&camera, trainer.tuning().tile);
     let options = RenderOptions {
         sh_degree: 1,
         ..RenderOptions::default()

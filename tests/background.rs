@@ -4,6 +4,7 @@ use crate::determinism::{drive, room, saved, trained};
 use mhsplat::Plan;
 use mhsplat::capture::{Alpha, Dataset, Photo, PhotoSource};
 use mhsplat::config::{Background, Sampler, TrainConfig};
+use mhsplat::device::tuning::Tuning;
 use mhsplat::device::{CameraArg, Device};
 use mhsplat::pipeline::forward::RenderOptions;
 use mhsplat::run::{checkpoint, initial_gaussians};
@@ -219,7 +220,13 @@ fn skipping_what_is_blank_changes_no_bit() {
         // Births of more views reach every tile.
         (config.mh.pixel_views, config.mh.pixel_tolerance) = (2, 0.0);
         let splats = small(&data, &config);
+        // Of larger ones none of these photos is blank.
         let device = Device::open(None).unwrap();
+        let tuning = Tuning {
+            tile: 16,
+            ..device.tuning()
+        };
+        let device = device.with_tuning(tuning);
         let of = |config: &TrainConfig| {
             let mut trainer =
                 Trainer::new(&device, &data, &Plan::new(&data, config).unwrap(), &splats).unwrap();
@@ -238,13 +245,13 @@ fn skipping_what_is_blank_changes_no_bit() {
             of(&config).state().unwrap().splats != whole,
             "{meaning:?} {sampler:?}"
         );
-        let camera = CameraArg::new(&data.train[0].camera);
+        let camera = CameraArg::new(&data.train[0].camera, device.tuning().tile);
         let (scene, renderer) = skipped.scene_and_renderer().unwrap();
         renderer
             .render(scene, &camera, &RenderOptions::default())
             .unwrap();
         let pairs = renderer.intersections_per_tile().unwrap();
-        let across = camera.tiles[0] as usize;
+        let across = camera.across as usize;
         let clear = |t: &usize| t % across < across / 2 && pairs[*t] == 0;
         assert!((0..pairs.len()).any(|t| clear(&t)), "nothing was blank");
         assert!(pairs.iter().any(|n| *n > 0));

@@ -5,7 +5,6 @@ mod trained;
 use std::sync::LazyLock;
 
 use super::cli;
-use mhsplat::base::constants::TILE;
 use mhsplat::chart::axis::decades;
 use mhsplat::device::tuning::Tuning;
 use mhsplat::device::{Array, CameraArg, Defines, Device};
@@ -109,7 +108,7 @@ fn growth_is_told_from_a_hundred_thousand_on() {
 
 /// Lanes counted the slow way: every block of every pair's tile that holds a pixel within the Gaussian's bounds.
 fn brute_force(work: &TileWork, tuning: &Tuning) -> u64 {
-    let (tile, w) = (TILE as usize, tuning.block_width as usize);
+    let (tile, w) = (tuning.tile as usize, tuning.block_width as usize);
     let h = (tuning.vector_width / tuning.block_width) as usize;
     let inside = |b: u32, p: usize| (b & 0xffff) as usize <= p && p <= (b >> 16) as usize;
     let mut lanes = 0;
@@ -142,7 +141,7 @@ fn lanes_are_those_of_a_brute_force_count() {
         let mut renderer =
             Renderer::<f32>::new(&device, Defines::new(tuning), scene::SH_DEGREE, false).unwrap();
         let on_device = GaussianBuffers::upload(&device, &splats, 0).unwrap();
-        let arg = CameraArg::<f32>::new(&camera);
+        let arg = CameraArg::<f32>::new(&camera, tuning.tile);
         renderer
             .render(&on_device, &arg, &RenderOptions::default())
             .unwrap();
@@ -151,7 +150,7 @@ fn lanes_are_those_of_a_brute_force_count() {
         assert!(work.used() <= work.pairs);
         let lanes = work.lanes(&tuning);
         assert_eq!(lanes, brute_force(&work, &tuning));
-        let all = work.used() as u64 * 256;
+        let all = (work.used() * tuning.tile_pixels()) as u64;
         assert!(lanes > 0 && lanes < all);
     }
 }

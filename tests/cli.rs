@@ -192,6 +192,7 @@ fn usage_errors_exit_with_2() {
 fn a_tuning_that_means_nothing_is_refused() {
     for (asked, said) in [
         ("vector-width=3", "1, 4, 8 or 16"),
+        ("tile=48", "tile is 16 or 32"),
         ("widht=8", "name=value"),
         ("fast", "name=value"),
     ] {
@@ -217,4 +218,13 @@ fn a_tuning_that_means_nothing_is_refused() {
         text.contains("given") && text.contains("strip=800"),
         "{text}"
     );
+    // The other style has tiles of its own.
+    let group = "vector-width=1,block-width=1,group-style=true,radix-bits=8";
+    let out = program()
+        .env("MHSPLAT_TUNING", group)
+        .arg("devices")
+        .output()
+        .unwrap();
+    let text = String::from_utf8_lossy(&out.stdout).into_owned();
+    assert!(text.contains("group-style=true,tile=16"), "{text}");
 }

@@ -154,7 +154,9 @@ fn rows(
     [render, photo]: [&[u8]; 2],
     factor: f32,
 ) -> Vec<f64> {
-    let (device, size) = (device(), ImageSize([width, height]));
+    let tile = tuning.tile as usize;
+    let of = |pixels| ImageSize { pixels, tile };
+    let (device, size) = (device(), of([width, height]));
     let kernels = Kernels::new(&device, Defines::new(tuning));
     let [stride, rows] = size.padded();
     let mut image = vec![0.0_f32; 3 * stride * rows];
@@ -173,7 +175,7 @@ fn rows(
         blank: None,
     };
     // With room for larger ones.
-    let flip = Flip::<f32>::new(&kernels, ImageSize([width + 30, height + 7])).unwrap();
+    let flip = Flip::<f32>::new(&kernels, of([width + 30, height + 7])).unwrap();
     let sums = flip.rows(&pair).unwrap();
     sums.into_iter().map(f64::from).collect()
 }

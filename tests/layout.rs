@@ -32,7 +32,7 @@ macro_rules! layout {
             size_of::<CameraArg<$real>>(),
             std::mem::offset_of!(CameraArg<$real>, intrinsics),
             std::mem::offset_of!(CameraArg<$real>, near),
-            std::mem::offset_of!(CameraArg<$real>, tiles) + 4,
+            std::mem::offset_of!(CameraArg<$real>, across),
             size_of::<Edit>(),
             std::mem::offset_of!(Edit, log_scale),
             std::mem::offset_of!(Edit, opacity_logit),

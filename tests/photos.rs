@@ -48,7 +48,13 @@ fn within(path: &Path, budget: u64) -> Result<Dataset> {
 
 /// Photos of a dataset's training views, in their order.
 fn added(data: &Dataset) -> Photos {
-    let photos = Photos::new(&Device::open(None).unwrap(), data.image_budget);
+    // Photos are cut at rows of tiles.
+    let device = Device::open(None).unwrap();
+    let tuning = Tuning {
+        tile: 16,
+        ..device.tuning()
+    };
+    let photos = Photos::new(&device.with_tuning(tuning), data.image_budget);
     for (i, view) in data.train.iter().enumerate() {
         assert_eq!(photos.add(view.photo.clone()).unwrap(), i);
     }
@@ -507,14 +513,17 @@ fn rows_against(device: &Device, photo: Array<u8>, side: usize, drop_early: bool
     let stage = kernels.build::<f32>("metrics").unwrap();
     let image = Array::zeros(device, "image", 4 * side * side).unwrap();
     let rows = Array::zeros(device, "rows", 2 * side).unwrap();
-    let size = ImageSize([side, side]);
+    let size = ImageSize {
+        pixels: [side, side],
+        tile: device.tuning().tile as usize,
+    };
     let photo = PhotoArray::whole(photo, size);
     let pair = ImagePair {
         image: &image,
         photo: &photo,
         background: [0.0; 3],
         size,
-        band: 0..side.div_ceil(16),
+        band: 0..size.tiles()[1],
         blank: None,
     };
     for _ in 0..20 {

@@ -128,6 +128,10 @@ fn ranks_change_no_bit_of_estimates() {
 /// Photos that do not fit are decoded on demand, and each rank keeps the rows that its bands need, of smaller photos, too.
 #[test]
 fn ranks_keep_parts_of_photos_and_change_no_bit() {
+    let small = Tuning {
+        tile: 16,
+        ..Tuning::CPU
+    };
     // Of twelve rows of tiles a quarter is a band; on either side it sees one more, and another is kept.
     let (photo, few) = (256 * 192 * 3, 30);
     let data = room_within(256, Some(few * photo));
@@ -136,8 +140,8 @@ fn ranks_keep_parts_of_photos_and_change_no_bit() {
     config.max_size = 256;
     for (levels, iterations) in [(0, 50), (1, 130)] {
         config.work.resolution_levels = levels;
-        let (mut alone, _) = trained(&data, &config, iterations);
-        let mut together = shared(&data, &config, None, 4);
+        let [mut alone, mut together] = [1, 4].map(|n| shared(&data, &config, Some(small), n));
+        alone.advance_to(iterations).unwrap();
         together.advance_to(iterations).unwrap();
         same(&together.state().unwrap(), &alone.state().unwrap());
         let [one, leader] = [&alone, &together].map(Trainer::photo_stats);

@@ -3,7 +3,7 @@
 use mhsplat::base::math::sigmoid;
 use mhsplat::lab::error::{Tolerance, compare};
 use mhsplat::lab::verify::{cases, definition};
-use mhsplat::pipeline::reference::{Camera64, Options, Scene64, rotation, unit_quaternion};
+use mhsplat::pipeline::reference::{Camera64, Options, Scene64, TILE, rotation, unit_quaternion};
 use mhsplat::pipeline::stage::bin::bin;
 use mhsplat::pipeline::stage::loss::loss;
 use mhsplat::pipeline::stage::project::project;
@@ -62,7 +62,7 @@ fn with_anti_aliasing_the_blur_is_a_tenth_and_takes_its_share_of_the_opacity() {
 fn the_centre_pixel_shows_opacity_times_colour() {
     let (scene, camera, options) = alone(-2.0, 0.0, 2.0);
     let all = vec![project(&scene, 0, &camera, &options)];
-    let tiles = bin(&all, &camera, options.alpha_min);
+    let tiles = bin(&all, &camera, TILE, options.alpha_min);
     let (image, transmittance) = splat::splat(&all, &tiles, &camera, &options);
     // SH coefficient 0 gives colour ½; the mean lies on the centre of pixel (16, 16).
     let at = 16 * 32 + 16;

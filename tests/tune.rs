@@ -82,6 +82,7 @@ fn a_bad_file_is_ignored() {
         ("block-width", 0),
         ("local", 1 << 30),
         ("strip", 7),
+        ("tile", 24),
         ("radix-bits", 40),
         ("splat-group", 96),
         ("grad-group", 32),
@@ -176,7 +177,7 @@ fn sizes_without_a_meaning_are_not_shown() {
             .filter_map(|f| f.split_once('='))
             .count()
     };
-    assert_eq!([names(Tuning::CPU), names(Tuning::GPU)], [7, 11]);
+    assert_eq!([names(Tuning::CPU), names(Tuning::GPU)], [8, 12]);
     assert!(
         Tuning::CPU
             .to_string()

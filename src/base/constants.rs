@@ -1,7 +1,5 @@
 //! Constants of the image formation. Each has its owner here and reaches OpenCL C through the prelude.
 
-/// Edge of a tile, pixels.
-pub const TILE: u32 = 16;
 /// Cap of alpha (3DGS uses 0.99, \[MH\]'s code base 0.999).
 pub const ALPHA_MAX: f64 = 0.999;
 /// Contributions below this alpha are dropped (3DGS).

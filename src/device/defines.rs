@@ -74,7 +74,7 @@ impl Defines {
         int("REAL_IS_DOUBLE", u64::from(is_double));
         int("VW", u64::from(self.tuning.vector_width));
         int("BLOCK_W", u64::from(self.tuning.block_width));
-        int("TILE", u64::from(constants::TILE));
+        int("TILE", u64::from(self.tuning.tile));
         int("GROUP_STYLE", u64::from(self.tuning.group_style));
         int("SUMS", constants::SUMS as u64);
         let batch = match self.tuning.group_style {

@@ -8,7 +8,7 @@ use ocl_core::{
     KernelWorkGroupInfoResult,
 };
 
-use crate::base::constants::{GROUP_SPREAD, SHARING_GROUPS, SPLAT_BATCH, TILE};
+use crate::base::constants::{GROUP_SPREAD, SHARING_GROUPS, SPLAT_BATCH};
 use crate::base::error::{Error, Result};
 use crate::device::array::Array;
 use crate::device::context::{Enqueued, Inner};
@@ -309,7 +309,8 @@ impl Launch<'_> {
     /// # Errors
     /// Those of [`Launch::run`].
     pub fn over_tiles(self, size: ImageSize, rows: &Range<usize>) -> Result<()> {
-        self.over_tiles_by(size, rows, TILE * TILE)
+        let items = self.defines().tuning.tile_pixels();
+        self.over_tiles_by(size, rows, items)
     }
 
     /// Enqueues the kernel with a work-group of so many work-items for each tile of some rows of tiles of an image, or a work-item where
@@ -317,9 +318,9 @@ impl Launch<'_> {
     ///
     /// # Errors
     /// Those of [`Launch::run`].
-    pub fn over_tiles_by(self, size: ImageSize, rows: &Range<usize>, items: u32) -> Result<()> {
+    pub fn over_tiles_by(self, size: ImageSize, rows: &Range<usize>, items: usize) -> Result<()> {
         let group = match self.defines().tuning.group_style {
-            true => items as usize,
+            true => items,
             false => 1,
         };
         let row = size.tiles()[0] * group;

@@ -5,7 +5,7 @@ use std::fmt::Debug;
 
 use ocl_core::OclPrm;
 
-use crate::base::constants::{NEAR, RECORD_BYTES, TILE};
+use crate::base::constants::{NEAR, RECORD_BYTES};
 use crate::capture::Camera;
 use crate::scene::Edit;
 
@@ -87,15 +87,17 @@ pub struct CameraArg<R> {
     pub near: R,
     /// Width and height, pixels.
     pub size: [i32; 2],
-    /// Tiles in x and y.
-    pub tiles: [i32; 2],
+    /// Edge of a tile, pixels.
+    pub tile: i32,
+    /// Tiles in x.
+    pub across: i32,
 }
 
 impl<R: Real> CameraArg<R> {
-    /// The camera as kernels take it. The field of view is widened by 30 % on each side, as in 3DGS (with the principal
+    /// The camera as kernels take it, for images of tiles of so many pixels a side. The field of view is widened by 30 % on each side, as in 3DGS (with the principal
     /// point taken into account).
     #[must_use]
-    pub fn new(camera: &Camera) -> Self {
+    pub fn new(camera: &Camera, tile: u32) -> Self {
         let (w, h) = (f64::from(camera.width), f64::from(camera.height));
         let (fx, fy, cx, cy) = (camera.fx, camera.fy, camera.cx, camera.cy);
         let (mx, my) = (0.3 * w / (2.0 * fx), 0.3 * h / (2.0 * fy));
@@ -114,10 +116,8 @@ impl<R: Real> CameraArg<R> {
             .map(R::of),
             near: R::of(NEAR),
             size: [camera.width as i32, camera.height as i32],
-            tiles: [
-                camera.width.div_ceil(TILE) as i32,
-                camera.height.div_ceil(TILE) as i32,
-            ],
+            tile: tile as i32,
+            across: camera.width.div_ceil(tile) as i32,
         }
     }
 
@@ -129,7 +129,7 @@ impl<R: Real> CameraArg<R> {
         Self {
             intrinsics: self.intrinsics.map(|v| R::of(v.into() * num / den)),
             size,
-            tiles: size.map(|s| (s as u32).div_ceil(TILE) as i32),
+            across: (size[0] as u32).div_ceil(self.tile as u32) as i32,
             ..*self
         }
     }
@@ -137,13 +137,11 @@ impl<R: Real> CameraArg<R> {
     /// Width and height of the image.
     #[must_use]
     pub fn image(&self) -> ImageSize {
-        ImageSize(self.size.map(|s| s as usize))
-    }
-
-    /// Number of tiles.
-    #[must_use]
-    pub fn tile_count(&self) -> usize {
-        (self.tiles[0] * self.tiles[1]) as usize
+        ImageSize {
+            pixels: self.size.map(|s| s as usize),
+            // Nothing has been rendered where there is none.
+            tile: self.tile.max(1) as usize,
+        }
     }
 }
 
@@ -185,15 +183,20 @@ impl PhotoScale {
     }
 }
 
-/// Width and height of an image without its padding, pixels.
+/// Size of an image and of its tiles.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct ImageSize(pub [usize; 2]);
+pub struct ImageSize {
+    /// Width and height without padding, pixels.
+    pub pixels: [usize; 2],
+    /// Edge of a tile, pixels.
+    pub tile: usize,
+}
 
 impl ImageSize {
     /// Width and height with the padding to whole tiles, pixels.
     #[must_use]
     pub fn padded(self) -> [usize; 2] {
-        self.0.map(|s| s.next_multiple_of(TILE as usize))
+        self.pixels.map(|s| s.next_multiple_of(self.tile))
     }
 
     /// Pixels of a padded plane.
@@ -205,7 +208,7 @@ impl ImageSize {
     /// Tiles in x and y.
     #[must_use]
     pub fn tiles(self) -> [usize; 2] {
-        self.0.map(|s| s.div_ceil(TILE as usize))
+        self.pixels.map(|s| s.div_ceil(self.tile))
     }
 
     /// Number of tiles.

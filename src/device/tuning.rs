@@ -4,7 +4,7 @@ use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
-use crate::base::constants::{GROUP_BATCH, RECORD_BYTES, SUMS, TILE};
+use crate::base::constants::{GROUP_BATCH, RECORD_BYTES, SUMS};
 use crate::device::info::{DeviceInfo, DeviceKind};
 
 /// Key of a Gaussian that is not visible.
@@ -41,6 +41,10 @@ pub struct Tuning {
     pub block_width: u32,
     /// A work-group per tile instead of a work-item per tile.
     pub group_style: bool,
+    /// Edge of a tile, pixels. Of 32 a work-item has the pixels in its first cache, and a Gaussian falls into fewer tiles (docs/results/speed.md); a
+    /// work-group takes 16.
+    #[serde(default = "usual_tile")]
+    pub tile: u32,
     /// Gaussians per group of the kernels that take them one by one or by vectors.
     pub local: usize,
     /// Chunks of the scan and sort kernels.
@@ -82,10 +86,11 @@ impl Tuning {
         vector_width: 16,
         block_width: 4,
         group_style: false,
+        tile: 32,
         local: 64,
         chunks: 16,
         radix_bits: 12,
-        strip: 400,
+        strip: 416,
         ..Self::GPU
     };
 
@@ -94,6 +99,7 @@ impl Tuning {
         vector_width: 1,
         block_width: 1,
         group_style: true,
+        tile: 16,
         local: 128,
         chunks: 1024,
         radix_bits: 8,
@@ -121,7 +127,7 @@ impl Tuning {
             },
             DeviceKind::Cpu => Self::CPU,
             // Too small for a work-group per tile: one pixel at a time, slow but right.
-            _ if info.max_work_group < (TILE * TILE) as usize => Self {
+            _ if info.max_work_group < Self::GPU.tile_pixels() => Self {
                 group_style: false,
                 radix_bits: 4,
                 local: info.max_work_group.clamp(1, Self::GPU.local),
@@ -136,7 +142,6 @@ impl Tuning {
     #[must_use]
     pub fn fault(&self, info: &DeviceInfo) -> Option<&'static str> {
         let (lanes, block) = (self.vector_width, self.block_width);
-        let tile = TILE as usize;
         let checks = [
             (
                 matches!(lanes, 1 | 4 | 8 | 16),
@@ -146,7 +151,7 @@ impl Tuning {
                 block > 0
                     && lanes.is_multiple_of(block)
                     && matches!(lanes / block, 1 | 2 | 4)
-                    && TILE.is_multiple_of(block)
+                    && self.tile.is_multiple_of(block)
                     && (block > 1 || lanes == 1),
                 "a block is one, two or four rows of block-width pixels and holds vector-width of them",
             ),
@@ -155,7 +160,11 @@ impl Tuning {
                 "group-style goes with vector-width 1",
             ),
             (
-                !self.group_style || info.max_work_group >= tile * tile,
+                matches!(self.tile, 16 | 32) && (self.tile == 16 || !self.group_style),
+                "tile is 16 or 32, with group-style 16",
+            ),
+            (
+                !self.group_style || info.max_work_group >= self.tile_pixels(),
                 "the device has no room for a work-group per tile",
             ),
             (
@@ -171,7 +180,7 @@ impl Tuning {
                 "radix-bits is between 1 and 16",
             ),
             (
-                !self.group_style || self.radix_bits <= (TILE * TILE).ilog2(),
+                !self.group_style || self.radix_bits <= self.tile_pixels().ilog2(),
                 "with group-style radix-bits is 8 at most",
             ),
             (
@@ -210,7 +219,7 @@ impl Tuning {
     /// Numbers that splat keeps of the segments of so many pairs, for splat_grad: three colours and the transmittance of each pixel of a tile.
     #[must_use]
     pub fn snapshot_values(&self, pairs: usize) -> usize {
-        pairs.div_ceil(self.grad_segment as usize) * 4 * (TILE * TILE) as usize
+        pairs.div_ceil(self.grad_segment as usize) * 4 * self.tile_pixels()
     }
 
     /// Bytes of local memory that a work-group of splat_grad takes at most, in f64 where that is to be built: records and slots of a batch, and
@@ -221,6 +230,12 @@ impl Tuning {
         let staged = u64::from(GROUP_BATCH) * (real * RECORD_BYTES + size_of::<u32>()) as u64;
         let row = u64::from(self.grad_group + 4) * (real * size_of::<f32>()) as u64;
         staged + u64::from(self.grad_sums) * SUMS as u64 * row
+    }
+
+    /// Pixels of a tile.
+    #[must_use]
+    pub const fn tile_pixels(&self) -> usize {
+        (self.tile * self.tile) as usize
     }
 
     /// Local size of kernels in which a work-item takes a vector of Gaussians.
@@ -261,7 +276,7 @@ impl Tuning {
     #[must_use]
     pub fn tile_group(&self) -> usize {
         if self.group_style {
-            (TILE * TILE) as usize
+            self.tile_pixels()
         } else {
             1
         }
@@ -272,6 +287,11 @@ impl Tuning {
     pub fn error_sets(&self) -> usize {
         if self.group_style { 3 } else { 1 }
     }
+}
+
+/// The value in records that are older than the field.
+const fn usual_tile() -> u32 {
+    Tuning::GPU.tile
 }
 
 /// The value in records that are older than the field.

@@ -92,7 +92,7 @@ impl Evaluator {
             let image = renderer.read_image()?;
             let (photo, mask) = self.compared(view, background)?;
             let values = corrected(&image.rgb, &fit(&image.rgb, &photo, &mask));
-            let ([w, h], [stride, rows]) = (camera.image().0, camera.image().padded());
+            let ([w, h], [stride, rows]) = (camera.image().pixels, camera.image().padded());
             let mut padded = vec![0.0; 3 * stride * rows];
             for (k, row) in values.chunks_exact(w).enumerate() {
                 let at = (k / h * rows + k % h) * stride;

@@ -217,7 +217,11 @@ fn given(asked: &str, info: &DeviceInfo) -> Result<Tuning> {
             }
         }
     }
-    let tuning: Tuning = serde_json::from_value(value).map_err(|e| wrong(e.to_string()))?;
+    let mut tuning: Tuning = serde_json::from_value(value).map_err(|e| wrong(e.to_string()))?;
+    let names_tile = asked.split(',').any(|part| part.trim().starts_with("tile"));
+    if tuning.group_style && !names_tile {
+        tuning.tile = Tuning::GPU.tile;
+    }
     match tuning.fault(info) {
         Some(fault) => Err(wrong(format!("{asked:?}; {fault}"))),
         None => Ok(tuning),

@@ -24,7 +24,7 @@ impl<'a> BandTiles<'a> {
     /// # Errors
     /// Tiles that the view has no room for.
     pub fn sections<R: Real>(view: &ViewBuffers<R>) -> Result<[Section<'_>; 2]> {
-        let across = view.camera.tiles[0] as usize;
+        let across = view.camera.across as usize;
         let (first, tiles) = (view.band.start * across, view.band.len() * across);
         let start = view.tile_start.section(first, tiles + 1)?;
         Ok([start, view.tile_used.section(first, tiles)?])
@@ -33,7 +33,7 @@ impl<'a> BandTiles<'a> {
     /// The words of [`BandTiles::sections`] of a view.
     #[must_use]
     pub fn new<R: Real>(view: &ViewBuffers<R>, words: &'a [u32]) -> Self {
-        let across = view.camera.tiles[0] as usize;
+        let across = view.camera.across as usize;
         let (start, used) = words.split_at(view.band.len() * across + 1);
         Self {
             band: view.band.clone(),

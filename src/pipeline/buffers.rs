@@ -350,7 +350,7 @@ impl<R: Real> ViewBuffers<R> {
         if self.capacity >= wanted {
             return Ok(());
         }
-        let [width, height] = self.camera.image().0;
+        let [width, height] = self.camera.image().pixels;
         let view = Load {
             pairs: needed,
             gaussians: self.count,
@@ -413,17 +413,23 @@ impl<R: Real> ViewBuffers<R> {
         }
     }
 
+    /// Edge of a tile, pixels.
+    #[must_use]
+    pub fn tile(&self) -> u32 {
+        self.tuning.tile
+    }
+
     /// Number of chunks of the visible Gaussians whose pairs are counted by tile.
     #[must_use]
     pub fn tile_chunks(&self) -> usize {
-        let most = MAX_COUNTERS / self.camera.tile_count().max(1);
+        let most = MAX_COUNTERS / self.camera.image().tile_count().max(1);
         self.tuning.chunks.min(most).max(1)
     }
 
     /// Makes room for an image. Contents are lost.
     pub fn fit_image(&mut self, device: &Device, size: ImageSize) -> Result<()> {
-        if size.0.iter().any(|s| *s < 1 || *s > MAX_PIXELS) {
-            let [w, h] = size.0;
+        if size.pixels.iter().any(|s| *s < 1 || *s > MAX_PIXELS) {
+            let [w, h] = size.pixels;
             return Err(Error::config(
                 "image size",
                 format!("{w} x {h}; 1 to {MAX_PIXELS} pixels a side expected"),
@@ -471,14 +477,18 @@ impl<R: Real> ViewSet<R> {
     pub fn new(photos: &Photos, views: impl IntoIterator<Item = View>) -> Result<Self> {
         let (mut names, mut cameras, mut numbers) = (Vec::new(), Vec::new(), Vec::new());
         let mut alphas = Vec::new();
+        let tile = photos.device().tuning().tile;
         for view in views {
             alphas.push(view.photo.alpha());
             names.push(view.name);
-            cameras.push(CameraArg::<R>::new(&view.camera));
+            cameras.push(CameraArg::<R>::new(&view.camera, tile));
             numbers.push(photos.add(view.photo)?);
         }
         let most = |k: usize| cameras.iter().map(|c| c.size[k].max(1)).max().unwrap_or(1) as usize;
-        let largest = ImageSize([most(0), most(1)]);
+        let largest = ImageSize {
+            pixels: [most(0), most(1)],
+            tile: tile as usize,
+        };
         Ok(Self {
             names,
             alpha: Alpha::common(alphas),

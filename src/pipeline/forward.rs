@@ -260,7 +260,7 @@ impl<R: Real> Renderer<R> {
                 [f.depth_counts(), f.depth_start()],
             )?;
             bin::emit(&self.bin, f, active_only)?;
-            let keys = Keys::tiles(f.capacity, f.camera.tile_count());
+            let keys = Keys::tiles(f.capacity, f.camera.image().tile_count());
             self.sort.run(&mut f.pairs, &keys, &f.status)?;
             return bin::find_tiles(&self.bin, f);
         }
@@ -271,7 +271,7 @@ impl<R: Real> Renderer<R> {
             [&f.isect_counts, &f.isect_start],
         )?;
         bin::count_tiles(&self.bin, f, active_only)?;
-        let by_tile = [f.tile_chunks(), f.camera.tile_count()];
+        let by_tile = [f.tile_chunks(), f.camera.image().tile_count()];
         self.sort
             .first_places(&f.tile_counts, by_tile, &f.tile_start)?;
         bin::emit(&self.bin, f, active_only)
@@ -285,7 +285,7 @@ impl<R: Real> Renderer<R> {
     /// Pairs of each tile of the view rendered last.
     #[doc(hidden)]
     pub fn intersections_per_tile(&self) -> Result<Vec<u32>> {
-        let tiles = self.frame.camera.tile_count();
+        let tiles = self.frame.camera.image().tile_count();
         let start = self.frame.tile_start.read(0, tiles + 1)?;
         Ok(start.windows(2).map(|w| w[1] - w[0]).collect())
     }
@@ -377,7 +377,7 @@ impl<R: Real> Renderer<R> {
         options: &RenderOptions,
         most: usize,
     ) -> Result<Rendered> {
-        let camera = CameraArg::new(camera);
+        let camera = CameraArg::new(camera, self.frame.tile());
         self.fitting(scene, &camera, most, |r| r.enqueue(scene, &camera, options))?;
         self.read_image()
     }
@@ -431,7 +431,7 @@ impl<R: Real> Renderer<R> {
         camera: &Camera,
         options: &RenderOptions,
     ) -> Result<Rendered> {
-        self.render(scene, &CameraArg::new(camera), options)?;
+        self.render(scene, &CameraArg::new(camera, self.frame.tile()), options)?;
         self.read_image()
     }
 
@@ -439,7 +439,7 @@ impl<R: Real> Renderer<R> {
     pub fn read_image(&self) -> Result<Rendered> {
         let size = self.frame.camera.image();
         let plane = size.plane();
-        let ([width, height], [stride, _]) = (size.0, size.padded());
+        let ([width, height], [stride, _]) = (size.pixels, size.padded());
         let padded = self.frame.image.read(0, 4 * plane)?;
         let cut = |c: usize| {
             (0..height).flat_map(move |y| {

@@ -48,20 +48,20 @@ impl Arguments for Launch<'_> {
     fn tile_lists<R: Real>(self, view: &ViewBuffers<R>) -> Self {
         self.array(&view.records, 1)
             .arrays([&view.isect_owner, view.order()], 1)
-            .array(&view.tile_start, view.camera.tile_count() + 1)
+            .array(&view.tile_start, view.camera.image().tile_count() + 1)
     }
 
     fn photo(self, photo: &PhotoArray, size: ImageSize) -> Self {
         let planes = self.defines().photo_planes();
         // A part is shorter, and refused for that.
-        self.array(photo, planes * size.0[0] * size.0[1])
-            .ints(size.0)
+        self.array(photo, planes * size.pixels[0] * size.pixels[1])
+            .ints(size.pixels)
     }
 
     fn photo_rows(self, photo: &PhotoArray, size: ImageSize) -> Self {
         let (planes, rows) = (self.defines().photo_planes(), photo.rows());
-        self.array(photo, planes * size.0[0] * rows.len())
-            .ints(size.0)
+        self.array(photo, planes * size.pixels[0] * rows.len())
+            .ints(size.pixels)
             .ints([rows.start, rows.len()])
     }
 }

@@ -255,7 +255,7 @@ impl<R: Real> Pipeline<R> {
         self.forward.render(scene, camera, &options)?;
         // The sum of the image's values: its derivative with respect to a colour is the weight.
         let size = camera.image();
-        let ([width, height], [stride, rows]) = (size.0, size.padded());
+        let ([width, height], [stride, rows]) = (size.pixels, size.padded());
         let mut ones = vec![R::of(0.0); 3 * stride * rows];
         for row in ones.chunks_exact_mut(stride).enumerate() {
             if row.0 % rows < height {

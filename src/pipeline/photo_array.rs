@@ -38,7 +38,7 @@ impl PhotoArray {
     /// All of a photo of this size.
     #[must_use]
     pub fn whole(pixels: Array<u8>, size: ImageSize) -> Self {
-        Self::new(pixels, 0..size.0[1])
+        Self::new(pixels, 0..size.pixels[1])
     }
 
     /// All of a photo, on the device.

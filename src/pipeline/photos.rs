@@ -14,7 +14,6 @@ use std::time::Instant;
 
 use serde::{Deserialize, Serialize};
 
-use crate::base::constants::TILE;
 use crate::base::error::{Error, Result};
 use crate::capture::{PhotoFile, PhotoSource};
 use crate::device::{Array, Defines, Device, ImageSize, Kernels, PhotoScale, Program};
@@ -121,17 +120,22 @@ struct Entry {
 impl Entry {
     /// Width and height at a fraction of the size.
     fn size(&self, scale: PhotoScale) -> [usize; 2] {
-        self.size.0.map(|side| scale.of(side))
+        self.size.pixels.map(|side| scale.of(side))
     }
 
     /// Bytes of so many rows at a fraction of the size.
     fn bytes(&self, scale: PhotoScale, rows: usize) -> u64 {
-        photo_bytes(self.planes)(ImageSize([self.size(scale)[0], rows]))
+        let [width, _] = self.size(scale);
+        let pixels = [width, rows];
+        photo_bytes(self.planes)(ImageSize {
+            pixels,
+            ..self.size
+        })
     }
 
     /// Bytes of the whole at its full size.
     fn whole(&self) -> u64 {
-        self.bytes(PhotoScale::FULL, self.size.0[1])
+        self.bytes(PhotoScale::FULL, self.size.pixels[1])
     }
 
     /// Pixel rows that are needed.
@@ -142,7 +146,7 @@ impl Entry {
 
     /// Pixel rows that are kept for those that are needed.
     fn kept(&self, wanted: &Wanted) -> Range<usize> {
-        let (height, tile) = (self.size(wanted.scale)[1], TILE as usize);
+        let (height, tile) = (self.size(wanted.scale)[1], self.size.tile);
         let slack = height.div_ceil(tile).div_ceil(SLACK) * tile;
         let needed = self.needed(wanted);
         needed.start.saturating_sub(slack)..(needed.end + slack).min(height)
@@ -224,7 +228,10 @@ impl Photos {
     /// A photo larger than a buffer of the device or than the budget, more than the device can allocate, or no thread to be had.
     pub fn add(&self, photo: PhotoSource) -> Result<usize> {
         let (bytes, planes) = (photo.bytes(), photo.alpha().planes());
-        let size = ImageSize(photo.size());
+        let size = ImageSize {
+            pixels: photo.size(),
+            tile: self.device().tuning().tile as usize,
+        };
         check_photo(self.device(), planes, size)?;
         let source = match photo {
             PhotoSource::Memory(photo) => {
@@ -436,10 +443,14 @@ impl Shared {
             return Ok(whole);
         }
         let entry = &state.entries[wanted.photo];
-        let size = entry.size(wanted.scale);
-        let bytes = entry.bytes(wanted.scale, size[1]);
+        let pixels = entry.size(wanted.scale);
+        let bytes = entry.bytes(wanted.scale, pixels[1]);
+        let size = ImageSize {
+            pixels,
+            ..entry.size
+        };
         let small = self.smaller(&whole, entry, wanted.scale)?;
-        let small = Arc::new(PhotoArray::whole(small, ImageSize(size)));
+        let small = Arc::new(PhotoArray::whole(small, size));
         if state.fixed + state.bytes + bytes <= state.stats.budget_bytes {
             state.fill(wanted.photo, Slot::Ready(wanted.scale, small.clone()));
             state.note_peak();

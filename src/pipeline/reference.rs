@@ -9,8 +9,8 @@ pub use crate::base::constants::{ALPHA_MAX, COLOR_MAX, LOG_SCALE, T_MIN, blur};
 use crate::capture::Camera;
 use crate::scene::{Gaussians, Plane};
 
-/// Edge of a tile, pixels.
-pub const TILE: i32 = crate::base::constants::TILE as i32;
+/// Edge of the tiles that the definitions go by where any will do, pixels.
+pub const TILE: i32 = 16;
 
 /// A camera in f64.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -65,10 +65,10 @@ impl Camera64 {
         std::array::from_fn(|r| (0..3).map(|k| self.w[r][k] * x[k]).sum::<f64>() + self.t[r])
     }
 
-    /// Tiles in x and y.
+    /// Tiles of so many pixels a side in x and y.
     #[must_use]
-    pub fn tiles(&self) -> [i32; 2] {
-        self.size.map(|s| (s + TILE - 1) / TILE)
+    pub fn tiles(&self, tile: i32) -> [i32; 2] {
+        self.size.map(|s| (s + tile - 1) / tile)
     }
 
     /// Width × height.

@@ -2,7 +2,7 @@
 
 use crate::base::constants::LOG_SCALE;
 use crate::base::math::sigmoid;
-use crate::pipeline::reference::{Camera64, Options, Scene64};
+use crate::pipeline::reference::{Camera64, Options, Scene64, TILE};
 use crate::pipeline::stage::bin::bin;
 use crate::pipeline::stage::loss::{Loss64, loss};
 use crate::pipeline::stage::project::{Projected64, project};
@@ -16,7 +16,7 @@ use crate::scene::Plane;
 pub struct ReferencePass {
     /// Projected Gaussians; `None` where culled.
     pub projected: Vec<Option<Projected64>>,
-    /// Gaussians of each tile.
+    /// Gaussians of each tile of [`TILE`] pixels a side.
     pub tiles: Vec<Vec<u32>>,
     /// Image \[3, height, width\].
     pub image: Vec<f64>,
@@ -57,7 +57,7 @@ pub fn render(scene: &Scene64, camera: &Camera64, options: &Options) -> Forward 
     let projected: Vec<_> = (0..scene.len())
         .map(|i| project(scene, i, camera, options))
         .collect();
-    let tiles = bin(&projected, camera, options.alpha_min);
+    let tiles = bin(&projected, camera, TILE, options.alpha_min);
     let (image, transmittance) = splat(&projected, &tiles, camera, options);
     (projected, tiles, image, transmittance)
 }

@@ -1,6 +1,6 @@
 //! Room in one buffer of a device: what does not fit is refused with the number that would.
 
-use crate::base::constants::{SUMS, TILE};
+use crate::base::constants::SUMS;
 use crate::base::error::{Error, Result};
 use crate::device::tuning::Tuning;
 use crate::device::{Array, Device, ImageSize, Real};
@@ -135,14 +135,17 @@ fn too_large(bytes: impl Fn(ImageSize) -> u64, size: ImageSize, most: u64) -> Op
     if bytes(size) <= most {
         return None;
     }
-    let [width, height] = size.0;
+    let [width, height] = size.pixels;
     let longest = width.max(height);
-    let at = |side: usize| ImageSize(size.0.map(|s| (s * side).div_ceil(longest)));
+    let at = |side: usize| ImageSize {
+        pixels: size.pixels.map(|s| (s * side).div_ceil(longest)),
+        ..size
+    };
     let share = (most as f64 / bytes(size) as f64).sqrt();
     let near = (longest as f64 * share) as usize;
     let fits = (1..=near).rev().find(|side| bytes(at(*side)) <= most);
     let fix = match fits {
-        Some(side) if side >= TILE as usize => {
+        Some(side) if side >= size.tile => {
             format!(
                 "images of at most {side} pixels a side fit (--max-size {side} in a new run); else select a device that allows more"
             )
@@ -166,7 +169,7 @@ const LARGEST: usize = 9 * size_of::<f32>();
 
 /// Bytes of a photo of so many planes.
 pub(super) fn photo_bytes(planes: usize) -> impl Fn(ImageSize) -> u64 {
-    move |size| (planes * size.0[0] * size.0[1]) as u64
+    move |size| (planes * size.pixels[0] * size.pixels[1]) as u64
 }
 
 /// The text on a photo that is larger than `most` bytes: what is wrong, and what to do; `None` if it is not. What fits is an image whose loss
@@ -213,6 +216,10 @@ mod tests {
     use crate::device::tuning::Tuning;
     use crate::pipeline::buffers::GaussianBuffers;
 
+    fn of(pixels: [usize; 2]) -> ImageSize {
+        ImageSize { pixels, tile: 16 }
+    }
+
     /// 59 planes and both moments of a million take 708 MB.
     #[test]
     fn a_scene_larger_than_the_memory_of_a_device_is_not_gathered() {
@@ -242,8 +249,7 @@ mod tests {
     #[test]
     fn planes_that_no_buffer_holds_are_refused_with_the_size_that_would_fit() {
         let most = 128 << 20;
-        let refused =
-            |side: usize| too_large(plane_bytes(9 * 4), ImageSize([side, side * 2 / 3]), most);
+        let refused = |side: usize| too_large(plane_bytes(9 * 4), of([side, side * 2 / 3]), most);
         let [what, fix] = refused(6000).unwrap();
         assert!(what.contains("6000 × 4000 pixels"), "{what}");
         let (_, number) = fix.split_once("--max-size ").unwrap();
@@ -256,7 +262,7 @@ mod tests {
     fn a_photo_that_no_buffer_holds_is_refused_with_the_size_that_would_fit() {
         // A device of 256 MB in all allows a quarter of it in one buffer.
         let most = 64 << 20;
-        let refused = |side: usize| photo_too_large(4, ImageSize([side, side]), most);
+        let refused = |side: usize| photo_too_large(4, of([side, side]), most);
         let [what, fix] = refused(12_000).unwrap();
         assert!(
             what.starts_with("576000000 bytes for images of 12000"),
@@ -266,7 +272,7 @@ mod tests {
         // Nor are the maps of its loss refused then.
         let (_, number) = fix.split_once("--max-size ").unwrap();
         let side: usize = number.split(' ').next().unwrap().parse().unwrap();
-        let maps = |side: usize| too_large(plane_bytes(9 * 4), ImageSize([side, side]), most);
+        let maps = |side: usize| too_large(plane_bytes(9 * 4), of([side, side]), most);
         assert!(
             side > 1300 && maps(side).is_none() && maps(side + 16).is_some(),
             "{side}"

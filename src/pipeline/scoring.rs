@@ -40,7 +40,7 @@ impl Scoring {
         Ok(Self {
             metrics: kernels.build::<f32>("metrics")?,
             loss: Loss::new(&kernels, largest, false)?,
-            rows: Array::zeros(device, "score", 3 * largest.0[1])?,
+            rows: Array::zeros(device, "score", 3 * largest.pixels[1])?,
             flip: OnceLock::new(),
             kernels,
             largest,
@@ -52,7 +52,13 @@ impl Scoring {
     /// # Errors
     /// See [`Scoring::flip`].
     pub fn warm_up(&self) -> Result<()> {
-        let (device, size) = (self.kernels.device(), ImageSize([1, 1]));
+        let (device, size) = (
+            self.kernels.device(),
+            ImageSize {
+                pixels: [1, 1],
+                ..self.largest
+            },
+        );
         let planes = self.kernels.defines().photo_planes();
         let image = Array::zeros(device, "image", 3 * size.plane())?;
         let pair = ImagePair {
@@ -88,7 +94,7 @@ impl Scoring {
         self.loss.errors(pair)?;
         let maps = (self.loss.error_maps()?, self.loss.error_planes());
         metrics::sum_dissimilarity(&self.metrics, pair, maps, &self.rows)?;
-        let h = pair.size.0[1];
+        let h = pair.size.pixels[1];
         let rows = self.rows.read(0, 3 * h)?;
         let sum = |k: usize| -> f64 { rows[k * h..][..h].iter().map(|v| f64::from(*v)).sum() };
         Ok(PairErrors {

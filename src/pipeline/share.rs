@@ -9,7 +9,6 @@ use std::ops::Range;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use crate::base::constants::TILE;
 use crate::base::error::{Error, Result};
 use crate::base::process::process_cpu_seconds;
 use crate::device::tuning::status;
@@ -261,7 +260,7 @@ impl<R: Real> Share<R> {
         if band.is_empty() {
             return [0..0, 0..0];
         }
-        let tile = TILE as usize;
+        let tile = size.tile;
         let [first, end] = [band.start, band.end].map(|row| row * tile);
         let above = first.saturating_sub(HALO)..first;
         let below = end..(end + HALO).min(size.padded()[1]);
@@ -463,7 +462,7 @@ impl<R: Real> Share<R> {
         size: ImageSize,
         address: &dyn Fn(Vec<u32>) -> Vec<Vec<u32>>,
     ) -> Result<()> {
-        let ([stride, _], plane, tile) = (size.padded(), size.plane(), TILE as usize);
+        let ([stride, _], plane, tile) = (size.padded(), size.plane(), size.tile);
         let rank = self.exchange.rank();
         let rows = |of: usize| {
             let band = self.band(of);

@@ -92,14 +92,14 @@ impl Trainer {
     /// Pixels of the largest training photo at full size.
     #[must_use]
     pub fn largest_photo(&self) -> usize {
-        let [width, height] = self.views.set.largest.0;
+        let [width, height] = self.views.set.largest.pixels;
         width * height
     }
 
     /// True if the largest training photo can be halved.
     #[must_use]
     pub fn halves(&self) -> bool {
-        most_halvings(self.views.set.largest.0) > 0
+        most_halvings(self.views.set.largest.pixels) > 0
     }
 
     /// Number of training views.
@@ -162,7 +162,10 @@ impl Trainer {
     /// Renders the Gaussians as they are, over the background that does not change.
     pub fn render(&mut self, camera: &Camera) -> Result<Rendered> {
         let background = self.schedule.fixed_background();
-        self.render_view(&CameraArg::new(camera), background)?;
+        self.render_view(
+            &CameraArg::new(camera, self.device.tuning().tile),
+            background,
+        )?;
         self.pipeline.forward.read_image()
     }
 

@@ -52,7 +52,7 @@ impl PendingPicture {
         };
         let (size, alpha) = (camera.image(), on.views.set.alpha);
         let plane = size.plane();
-        let pixels = size.0[0] * size.0[1];
+        let pixels = size.pixels[0] * size.pixels[1];
         let taken = &view.photo;
         let photo = taken.read_later(0, alpha.planes() * pixels)?;
         let Pipeline {
@@ -143,7 +143,7 @@ impl ArrivedPicture {
         let size = self.camera.image();
         let (error, transmittance) = self.error.split_at(size.plane());
         Picture {
-            size: size.0,
+            size: size.pixels,
             stride: size.padded()[0],
             intrinsics: self.camera.intrinsics,
             rotation: self.camera.w,

@@ -90,7 +90,7 @@ impl Views {
 
     /// Size of a view's photo at an iteration over its full size.
     fn scale(&self, iteration: u32, number: usize) -> PhotoScale {
-        let full = self.set.cameras[number].image().0;
+        let full = self.set.cameras[number].image().pixels;
         self.schedule.scale_of(&self.sizes, iteration, full)
     }
 
@@ -185,7 +185,7 @@ impl Views {
     #[must_use]
     pub fn full_size_from(&self) -> u32 {
         self.schedule
-            .full_size_from(&self.sizes, self.set.largest.0)
+            .full_size_from(&self.sizes, self.set.largest.pixels)
     }
 }
 

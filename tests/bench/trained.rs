@@ -24,7 +24,7 @@ fn pairs_of(splats: &Gaussians, anti_alias: bool) -> f64 {
     let [x, y, z] = [0, 1, 2].map(|k| splats.planes()[k].as_slice());
     let cameras = orbit([x, y, z], scene::VIEWS, [800; 2]);
     let pairs = cameras.iter().map(|camera| {
-        let camera = CameraArg::<f32>::new(camera);
+        let camera = CameraArg::<f32>::new(camera, device.tuning().tile);
         renderer
             .render(&scene, &camera, &RenderOptions::default())
             .unwrap();

@@ -58,7 +58,10 @@ fn filtered(splats: &Gaussians, cameras: &[Camera], overflow: u32) -> Vec<f32> {
     let device = device();
     let kernels = kernels(&device);
     let mut scene = GaussianBuffers::<f32>::upload(&device, splats, 0).unwrap();
-    let args: Vec<_> = cameras.iter().map(CameraArg::new).collect();
+    let args: Vec<_> = cameras
+        .iter()
+        .map(|c| CameraArg::new(c, device.tuning().tile))
+        .collect();
     let frame = ViewBuffers::new(&device, &kernels.defines().tuning, false).unwrap();
     let flag = status::OVERFLOW as usize;
     frame.status.write(flag, &[overflow]).unwrap();

@@ -45,8 +45,8 @@ fn errors_are_those_of_the_formula_to_the_bit() {
     let device = device();
     let mild = |alpha: fn(Case) -> Case| alpha(cases::mild("bits", 1, [75, 33], 0, 5));
     for case in [mild(|c| c), mild(Case::with_alpha), mild(Case::with_mask)] {
-        let size = CameraArg::<f32>::new(&case.camera).image();
-        let ([w, h], [stride, rows]) = (size.0, size.padded());
+        let size = CameraArg::<f32>::new(&case.camera, device.tuning().tile).image();
+        let ([w, h], [stride, rows]) = (size.pixels, size.padded());
         let color = |c: usize, x: usize, y: usize| ((c * 31 + x * 7 + y * 13) % 97) as f32 / 71.0;
         let mut padded = vec![0.5; 4 * stride * rows];
         let mut flat = vec![0.0; 3 * w * h];

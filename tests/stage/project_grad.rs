@@ -116,7 +116,7 @@ fn mean_of<R: Real>(tuning: Tuning, cases: &[Case]) -> Vec<f64> {
         ..Defines::new(tuning)
     };
     let scene = GaussianBuffers::<R>::upload(&device, &case.splats, 0).unwrap();
-    let size = CameraArg::<R>::new(&case.camera).image();
+    let size = CameraArg::<R>::new(&case.camera, tuning.tile).image();
     let mut pipeline = Pipeline::<R>::new(&device, defines, case.sh_degree, size).unwrap();
     let zeros = |name| Array::<R>::zeros(&device, name, scene.params.len()).unwrap();
     let (values, m, v) = (zeros("grads"), zeros("m"), zeros("v"));
@@ -137,7 +137,7 @@ fn mean_of<R: Real>(tuning: Tuning, cases: &[Case]) -> Vec<f64> {
             background: case.background,
             ..RenderOptions::default()
         };
-        let camera = CameraArg::new(&case.camera);
+        let camera = CameraArg::new(&case.camera, tuning.tile);
         pipeline.forward.render(&scene, &camera, &options).unwrap();
         let photo = PhotoArray::upload(&device, &case.photo).unwrap();
         let target = Target {
@@ -279,7 +279,7 @@ fn step_of(
         Some(start)
     });
     let starts: Vec<u32> = starts.collect();
-    frame.camera = CameraArg::new(&case.camera);
+    frame.camera = CameraArg::new(&case.camera, tuning.tile);
     frame.isect_counts = Array::from_slice(&device, "counts", counts).unwrap();
     frame.isect_start = Array::from_slice(&device, "starts", &starts).unwrap();
     frame.sums = Array::from_slice(&device, "sums", &sums.concat()).unwrap();

@@ -31,15 +31,16 @@ fn bands_get_the_gaussians_that_touch_them_cut_to_their_rows() {
     let projected: Vec<_> = (0..scene.len())
         .map(|i| project(&scene, i, &camera, &options))
         .collect();
-    // 5 rows of tiles; the second rank has none of them.
-    let bands = [0, 2, 2, 5];
     for tuning in TUNINGS {
+        // 5 or 3 rows of tiles; the second rank has none of them.
+        let end = 75_u32.div_ceil(tuning.tile);
+        let bands = [0, end / 2, end / 2, end];
         let kernels = Kernels::new(&device, Defines::new(tuning)).of_degree(1);
         let stage = kernels.build::<f64>("project").unwrap();
         let buffers = GaussianBuffers::<f64>::upload(&device, &case.splats, 0).unwrap();
         let mut view = ViewBuffers::<f64>::new(&device, &tuning, false).unwrap();
         view.fit_gaussians(&device, buffers.stride).unwrap();
-        (view.camera, view.count) = (CameraArg::new(&case.camera), buffers.count);
+        (view.camera, view.count) = (CameraArg::new(&case.camera, tuning.tile), buffers.count);
         write_records(&stage, &buffers, &view, 0..view.count).unwrap();
         let records = view.records.read(0, view.count).unwrap();
         let keys = view.keys.read(0, view.count).unwrap();
@@ -53,7 +54,11 @@ fn bands_get_the_gaussians_that_touch_them_cut_to_their_rows() {
         assert_eq!(stage.rows(0).end, stage.rows(1).start);
         let mut shared = 0;
         for rank in 0..3 {
-            let want = route(&projected, [bands[rank], bands[rank + 1]]);
+            let want = route(
+                &projected,
+                tuning.tile as i32,
+                [bands[rank], bands[rank + 1]],
+            );
             shared += want.len();
             let parts = halves.each_ref().map(|half| half[rank].clone());
             let sent: usize = parts.iter().map(Vec::len).sum();
@@ -168,7 +173,7 @@ fn pass(case: &Case, tuning: Tuning, part: Option<Part>) -> (Sums, Vec<f32>) {
         alpha: case.photo.alpha,
         ..Defines::new(tuning)
     };
-    let camera = CameraArg::<f32>::new(&case.camera);
+    let camera = CameraArg::<f32>::new(&case.camera, tuning.tile);
     let mut pipeline =
         Pipeline::<f32>::new(&device, defines, case.sh_degree, camera.image()).unwrap();
     let all = case.splats.len();
@@ -183,7 +188,7 @@ fn pass(case: &Case, tuning: Tuning, part: Option<Part>) -> (Sums, Vec<f32>) {
         let mut share = Share::in_parts(&device, defines, exchange, parts).unwrap();
         share.set_bands(bands);
         // Of the photo there is what the band needs.
-        let (planes, [width, _]) = (case.photo.alpha.planes(), camera.image().0);
+        let (planes, [width, _]) = (case.photo.alpha.planes(), camera.image().pixels);
         let rows = photo_rows(&share.own_band(), camera.image());
         photo = photo.part(&device, [planes, width], &rows).unwrap();
         pipeline.share = Some(share);
@@ -255,7 +260,6 @@ fn ranks_have_the_sums_of_one_that_has_all() {
         let at = case.splats.gather::<3>(0, i);
         case.splats.scatter(0, (7 * i + 153) % 400, at);
     }
-    let cuts = [vec![0, 5, 11], vec![0, 4, 4, 5, 11]];
     for (tuning, case) in [
         (Tuning::CPU, case.clone()),
         (Tuning::GPU, case.clone()),
@@ -264,7 +268,11 @@ fn ranks_have_the_sums_of_one_that_has_all() {
     ] {
         let (want, gradient) = pass(&case, tuning, None);
         let pairs: usize = want.iter().map(|s| s.0).sum();
-        assert!(pairs > 1500, "{pairs}");
+        assert!(pairs > 800, "{pairs}");
+        let tile = tuning.tile as usize;
+        let end = 170_u32.div_ceil(tuning.tile);
+        let at = end / 2 - 1;
+        let cuts = [vec![0, at + 1, end], vec![0, at, at, at + 1, end]];
         for (bands, parts) in cuts.iter().zip([1, 2]).chain(cuts.iter().zip([2, 1])) {
             let ranks = bands.len() - 1;
             let ends = [0, 150, 151, 400, 400];
@@ -289,10 +297,10 @@ fn ranks_have_the_sums_of_one_that_has_all() {
             for (rank, (mut sums, own)) in shares.into_iter().enumerate() {
                 sums.pop();
                 got.extend(sums);
-                let rows = bands[rank] as usize * 16..bands[rank + 1] as usize * 16;
-                let stride = 112;
+                let rows = bands[rank] as usize * tile..bands[rank + 1] as usize * tile;
+                let [stride, height] = [100, 170_usize].map(|side| side.next_multiple_of(tile));
                 for c in 0..3 {
-                    let at = (c * 176 + rows.start) * stride..(c * 176 + rows.end) * stride;
+                    let at = (c * height + rows.start) * stride..(c * height + rows.end) * stride;
                     assert!(own[at.clone()] == gradient[at], "gradient of rank {rank}");
                 }
             }
@@ -310,8 +318,8 @@ fn ranks_have_the_sums_of_one_that_has_all() {
 /// A band of more pairs than there is room for is composited again once there is.
 #[test]
 fn a_rank_without_room_for_its_pairs_makes_some() {
-    let mut case = cases::mild("crowded", 300, [64, 160], 0, 47);
-    for i in 0..300 {
+    let mut case = cases::mild("crowded", 600, [64, 160], 0, 47);
+    for i in 0..600 {
         let wider = case.splats.gather::<3>(3, i).map(|v| v + 3.0);
         case.splats.scatter(3, i, wider);
     }
@@ -323,7 +331,7 @@ fn a_rank_without_room_for_its_pairs_makes_some() {
     let (got, _) = pass(
         &case,
         Tuning::CPU,
-        Some((exchange, [0, 300], vec![0, 10], 1)),
+        Some((exchange, [0, 600], vec![0, 160 / Tuning::CPU.tile], 1)),
     );
     let totals = |sums: Sums| sums.into_iter().map(|s| s.1).collect::<Vec<_>>();
     assert!(totals(got) == totals(want));

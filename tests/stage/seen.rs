@@ -55,7 +55,7 @@ fn seen_of(gaussians: &[Projected<f64>], before: &[u32], tuning: Tuning) -> Vec<
     frame.isect_start = array("isect_start", &order);
     frame.isect_counts = array("isect_counts", &vec![1; n]);
     frame.pairs.values[0] = array("order", &order);
-    (frame.camera.size, frame.camera.tiles) = ([5, 5], [1, 1]);
+    (frame.camera.size, frame.camera.tile, frame.camera.across) = ([5, 5], tuning.tile as i32, 1);
     let kernels = Kernels::new(&device, Defines::new(tuning));
     let stage = kernels.build::<f64>("seen").unwrap();
     mark(&stage, &frame, &shown, &seen).unwrap();

@@ -26,7 +26,10 @@ fn shrunk(photo: &Photo, scale: PhotoScale) -> Vec<u8> {
     };
     let kernels = Kernels::new(&device, defines);
     let stage = kernels.build::<f32>("shrink").unwrap();
-    let size = ImageSize([photo.width, photo.height].map(|s| s as usize));
+    let size = ImageSize {
+        pixels: [photo.width, photo.height].map(|s| s as usize),
+        tile: device.tuning().tile as usize,
+    };
     let from = Array::from_slice(&device, "photo", &photo.data).unwrap();
     let shape = (size, photo.alpha.planes());
     let to = reduce(&device, &stage, &from, shape, scale);

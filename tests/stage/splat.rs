@@ -39,10 +39,10 @@ fn every_block_shape_gives_the_same_bits() {
 }
 
 #[test]
-fn every_vector_width_and_style_gives_the_same_picture() {
+fn every_width_tile_and_style_gives_the_same_picture() {
     let case = cases::mild("widths", 300, [75, 50], 1, 31);
     let wide = picture(&run(Tuning::CPU, &case));
-    // The driver's exp and log1p may round apart for each width, no more than that.
+    // The driver's exp and log1p may round apart for each width, and distances from the corner of a tile, no more than that.
     let rounding = Tolerance::all(SINGLE);
     let narrow = [(8, 4), (8, 8), (4, 2), (1, 1)].map(|(vector_width, block_width)| Tuning {
         vector_width,
@@ -53,7 +53,11 @@ fn every_vector_width_and_style_gives_the_same_picture() {
         chunks: 64,
         ..Tuning::GPU
     };
-    for tuning in narrow.into_iter().chain([group]) {
+    let small = Tuning {
+        tile: 16,
+        ..Tuning::CPU
+    };
+    for tuning in narrow.into_iter().chain([small, group]) {
         let got = picture(&run(tuning, &case));
         for (got, want) in got.iter().zip(&wide) {
             let report = compare(got, want, rounding);

@@ -2,7 +2,6 @@
 
 use std::time::Instant;
 
-use crate::base::constants::TILE;
 use crate::base::error::Result;
 use crate::base::process::process_cpu_seconds;
 use crate::capture::Dataset;
@@ -146,19 +145,19 @@ fn load(device: &Device, trainer: &mut Trainer, subject: &Subject<'_>) -> Result
     let each = 1.0 / views.len() as f64;
     let (mut load, mut used) = (Load::default(), 0.0);
     for view in views {
-        let camera = CameraArg::<f32>::new(&view.camera);
+        let camera = CameraArg::<f32>::new(&view.camera, tuning.tile);
         renderer.render(scene, &camera, &options)?;
         let work = TileWork::read(renderer)?;
         load.visible += each * work.visible as f64;
         load.pairs += each * work.pairs as f64;
         load.lanes += each * work.lanes(&tuning) as f64;
         used += each * work.used() as f64;
-        load.tiles = camera.tile_count() as f64;
+        load.tiles = camera.image().tile_count() as f64;
         [load.passes, load.pair_passes] = Load::passes(&tuning, load.tiles.round() as usize);
     }
     load.gaussians = scene.count as f64;
     load.planes = Plane::count(subject.splats.sh_degree()) as f64;
-    load.pixels = load.tiles * f64::from(TILE * TILE);
+    load.pixels = load.tiles * tuning.tile_pixels() as f64;
     Ok((load, used.round() as u64))
 }
 

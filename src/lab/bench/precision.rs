@@ -3,7 +3,7 @@
 //! The reference of the precisions, widths and styles has the same alpha cut as the kernels, so that their error is
 //! rounding; that of the cuts has none to speak of, so that theirs is what is cut off.
 
-use crate::base::constants::{ALPHA_MIN, TILE};
+use crate::base::constants::ALPHA_MIN;
 use crate::base::error::{Error, Result};
 use crate::device::tuning::Tuning;
 use crate::device::{Device, DeviceKind, Real};
@@ -69,7 +69,7 @@ fn variants(device: &Device) -> Vec<Variant> {
     };
     let widths = WIDTHS.into_iter().filter(|_| info.kind == DeviceKind::Cpu);
     let mut all: Vec<Variant> = widths.map(by_width).collect();
-    if info.max_work_group >= (TILE * TILE) as usize {
+    if info.max_work_group >= Tuning::GPU.tile_pixels() {
         let chunks = own.chunks;
         let group = Tuning {
             chunks,

@@ -156,7 +156,7 @@ fn visible(trainer: &mut Trainer, size: u32) -> Result<f64> {
     let cameras = scene::circle(size);
     let mut all = 0;
     for camera in &cameras {
-        let camera = CameraArg::<f32>::new(camera);
+        let camera = CameraArg::<f32>::new(camera, renderer.frame.tile());
         renderer.render(scene, &camera, &RenderOptions::default())?;
         all += renderer.frame.status.read(status::VISIBLE as usize, 1)?[0];
     }

@@ -1,6 +1,6 @@
 //! The amount of work of a view: pixel lanes counted from the device's own lists, bytes estimated from array shapes.
 
-use crate::base::constants::{SUMS, TILE};
+use crate::base::constants::SUMS;
 use crate::base::error::Result;
 use crate::device::tuning::{Tuning, status};
 use crate::device::{Projected, Real};
@@ -47,7 +47,8 @@ impl TileWork {
         let frame = &renderer.frame;
         let counters = frame.status.to_vec()?;
         let pairs = counters[status::INTERSECTIONS as usize] as usize;
-        let [tiles_x, tiles] = [frame.camera.tiles[0] as usize, frame.camera.tile_count()];
+        let size = frame.camera.image();
+        let [tiles_x, tiles] = [size.tiles()[0], size.tile_count()];
         let order = frame.order().read(0, pairs)?;
         let owner = frame.isect_owner.read(0, pairs)?;
         let start = frame.tile_start.read(0, tiles)?;
@@ -83,9 +84,9 @@ impl TileWork {
     pub fn lanes(&self, tuning: &Tuning) -> u64 {
         let block = [tuning.block_width, tuning.vector_width / tuning.block_width];
         let blocks = |bounds: u32, tile: usize, k: usize| -> u64 {
-            let (first, block) = (tile as i64 * i64::from(TILE), i64::from(block[k]));
+            let (first, block) = (tile as i64 * i64::from(tuning.tile), i64::from(block[k]));
             let low = (i64::from(bounds & 0xffff) - first).max(0) / block;
-            let high = (i64::from(bounds >> 16) - first).min(i64::from(TILE) - 1) / block;
+            let high = (i64::from(bounds >> 16) - first).min(i64::from(tuning.tile) - 1) / block;
             (high - low + 1).max(0) as u64
         };
         let mut total = 0;

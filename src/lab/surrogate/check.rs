@@ -148,7 +148,7 @@ impl Subject<'_> {
         let chosen = choose_views(train.len(), options);
         let photos = Photos::new(device, self.dataset.image_budget);
         let views = ViewSet::<R>::new(&photos, chosen.iter().map(|v| train[*v].clone()))?;
-        let (names, size) = (views.names.clone(), views.largest.0);
+        let (names, size) = (views.names.clone(), views.largest.pixels);
         let candidates = options.candidates as usize;
         let mut instrument =
             Instrument::new(device, views, splats.clone(), setting, 2 * candidates)?;

@@ -147,7 +147,7 @@ impl<R: Real> Instrument<R> {
 
     /// The loss of these strips, without its constant, and the number of pixel values.
     fn weigh(&self, view: usize, l1: f64, ssim: f64) -> f64 {
-        let [w, h] = self.views.cameras[view].image().0;
+        let [w, h] = self.views.cameras[view].image().pixels;
         let lambda = self.setting.lambda_ssim;
         ((1.0 - lambda) * l1 - lambda * ssim) / (3 * w * h) as f64
     }

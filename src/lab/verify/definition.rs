@@ -9,6 +9,7 @@ use crate::lab::verify::cases::{ADAM, Case};
 use crate::pipeline::reference::{Camera64, Options, Scene64, unit_quaternion};
 use crate::pipeline::reference_pass::{ReferencePass, run};
 use crate::pipeline::stage::adam::{Step, adam};
+use crate::pipeline::stage::bin::bin;
 use crate::pipeline::stage::edit::edit;
 use crate::pipeline::stage::exposure::{ENTRIES, IDENTITY, backward, center};
 use crate::pipeline::stage::flip::error_map;
@@ -174,6 +175,12 @@ impl Reference {
         let all = self.pass.projected.iter();
         all.map(|r| r.as_ref().map_or_else(ProjectedRow::default, of))
             .collect()
+    }
+
+    /// Gaussians of each tile of so many pixels a side.
+    pub(super) fn tiles(&self, tile: i32) -> Vec<Vec<u32>> {
+        let alpha_min = self.options.alpha_min;
+        bin(&self.pass.projected, &self.camera, tile, alpha_min)
     }
 
     /// Sums of each Gaussian \[N, 9\].

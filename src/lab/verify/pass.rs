@@ -4,7 +4,7 @@
 
 use std::ops::Range;
 
-use crate::base::constants::{FILTER_CHUNKS, SUMS, TILE};
+use crate::base::constants::{FILTER_CHUNKS, SUMS};
 use crate::base::error::Result;
 use crate::device::tuning::{KEY_CULLED, Tuning, status};
 use crate::device::{Array, CameraArg, Defines, Device, Kernels, Real};
@@ -102,7 +102,7 @@ impl<'a, R: Real> Pass<'a, R> {
         if defines.anti_alias {
             scene = scene.with_filter(device)?;
         }
-        let camera = CameraArg::<R>::new(&case.camera);
+        let camera = CameraArg::<R>::new(&case.camera, tuning.tile);
         Ok(Self {
             pipeline: Pipeline::new(device, defines, case.sh_degree, camera.image())?,
             kernels: Kernels::new(device, defines),
@@ -148,7 +148,7 @@ impl<'a, R: Real> Pass<'a, R> {
     fn image(&self, image: &Array<R>, planes: Range<usize>) -> Result<Vec<f64>> {
         let padded = widen(image.to_vec()?);
         let [w, h] = self.camera.size.map(|s| s as usize);
-        let [stride, rows] = self.camera.tiles.map(|t| t as usize * TILE as usize);
+        let [stride, rows] = self.camera.image().padded();
         let starts = planes.flat_map(|c| (0..h).map(move |y| (c * rows + y) * stride));
         let row = |from: usize| padded[from..from + w].iter().copied();
         Ok(starts.flat_map(row).collect())
@@ -180,7 +180,8 @@ impl<'a, R: Real> Pass<'a, R> {
         let (device, forward) = (self.device, &mut self.pipeline.forward);
         if self.kernels.defines().anti_alias {
             let views = self.case.filter_views.iter();
-            let cameras: Vec<_> = views.map(|c| CameraArg::<R>::new(c)).collect();
+            let camera = |c| CameraArg::<R>::new(c, self.camera.tile as u32);
+            let cameras: Vec<_> = views.map(camera).collect();
             let cameras = Array::from_slice(device, "cameras", &cameras)?;
             let largest = Array::zeros(device, "largest", FILTER_CHUNKS as usize)?;
             let stage = self.kernels.build::<R>("filter")?;
@@ -209,18 +210,15 @@ impl<'a, R: Real> Pass<'a, R> {
             let want = |r: &Reference, _: &Outcome| r.projected().iter().flat_map(part).collect();
             self.add("project", name, got, want);
         }
-        let pairs = |r: &Reference, _: &Outcome| {
-            vec![r.pass.tiles.iter().map(Vec::len).sum::<usize>() as f64]
-        };
+        let (tile, tiles) = (self.camera.tile, self.tiles()?);
+        let count = |tiles: &[Vec<u32>]| tiles.iter().map(Vec::len).sum::<usize>() as f64;
+        let pairs = |r: &Reference, _: &Outcome| vec![count(&r.tiles(tile))];
         let counts = self.frame().isect_counts.read(0, self.scene.count)?;
         let counted = counts.into_iter().map(f64::from).sum();
-        let tiles = self.tiles()?;
-        let emitted: usize = tiles.iter().map(Vec::len).sum();
         self.add("scan", "pairs counted", vec![counted], pairs);
-        self.add("bin", "pairs emitted", vec![emitted as f64], pairs);
-        self.add("sort", "tile lists", lists(&tiles), |r, _| {
-            lists(&r.pass.tiles)
-        });
+        self.add("bin", "pairs emitted", vec![count(&tiles)], pairs);
+        let want = |r: &Reference, _: &Outcome| lists(&r.tiles(tile));
+        self.add("sort", "tile lists", lists(&tiles), want);
         let got = self.image(&self.frame().image, 0..3)?;
         self.add("splat", "image", got, |r, _| r.pass.image.clone());
         let got = self.image(&self.frame().image, 3..4)?;
@@ -255,7 +253,9 @@ impl<'a, R: Real> Pass<'a, R> {
         let pairs = frame.status.read(status::INTERSECTIONS as usize, 1)?[0] as usize;
         let order = frame.order().read(0, pairs)?;
         let owner = frame.isect_owner.read(0, pairs)?;
-        let start = frame.tile_start.read(0, self.camera.tile_count() + 1)?;
+        let start = frame
+            .tile_start
+            .read(0, self.camera.image().tile_count() + 1)?;
         let tile = |w: &[u32]| {
             let slots = &order[w[0] as usize..w[1] as usize];
             slots.iter().map(|slot| owner[*slot as usize]).collect()
@@ -509,7 +509,7 @@ impl<'a, R: Real> Pass<'a, R> {
             image: &image,
             ..self.pair()?
         };
-        let [w, h] = pair.size.0;
+        let [w, h] = pair.size.pixels;
         let rows = Array::zeros(self.device, "score", 3 * h)?;
         let maps = self.pipeline.error_maps()?;
         metrics::sum_dissimilarity(&stage, &pair, maps, &rows)?;

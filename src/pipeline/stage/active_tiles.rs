@@ -4,7 +4,6 @@ use std::ops::Range;
 
 use crate::base::error::Result;
 use crate::device::{Array, Device, ImageSize, Program};
-use crate::pipeline::reference::TILE;
 
 /// Active tiles \[tiles\] of a photo of this size, which has an alpha plane: 1, or 0 for the others, and for those that none of the pixel rows
 /// that there are lies in.
@@ -17,7 +16,7 @@ pub fn mark(
     (photo, rows): (&Array<u8>, &Range<usize>),
     size: ImageSize,
 ) -> Result<Array<u32>> {
-    let ([w, _], count) = (size.0, size.tile_count());
+    let ([w, _], count) = (size.pixels, size.tile_count());
     let tiles = Array::zeros(device, "active_tiles", count)?;
     stage
         .launch("active_tiles")
@@ -31,10 +30,9 @@ pub fn mark(
 
 // Definition in f64.
 
-/// True for each tile (row major) of a mask \[height, width\] in which any pixel counts.
+/// True for each tile (row major) of so many pixels a side of a mask \[height, width\] in which any pixel counts.
 #[must_use]
-pub fn active_tiles(mask: &[u8], [width, height]: [usize; 2]) -> Vec<bool> {
-    let tile = TILE as usize;
+pub fn active_tiles(mask: &[u8], [width, height]: [usize; 2], tile: usize) -> Vec<bool> {
     let (across, down) = (width.div_ceil(tile), height.div_ceil(tile));
     let mut tiles = vec![false; across * down];
     for (at, m) in mask.iter().enumerate() {

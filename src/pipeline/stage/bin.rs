@@ -5,7 +5,7 @@ use crate::base::error::Result;
 use crate::device::{Launch, Program, Real};
 use crate::pipeline::buffers::ViewBuffers;
 use crate::pipeline::launch::Arguments;
-use crate::pipeline::reference::{Camera64, TILE};
+use crate::pipeline::reference::Camera64;
 use crate::pipeline::stage::project::Projected64;
 use crate::pipeline::stage::sort::{Keys, Sort};
 
@@ -73,7 +73,7 @@ pub fn emit<R: Real>(stage: &Program, view: &ViewBuffers<R>, active_only: bool) 
             .over_shared(view.count);
     }
     by_tile(launch, view, active_only)
-        .array(&view.tile_start, view.camera.tile_count() + 1)
+        .array(&view.tile_start, view.camera.image().tile_count() + 1)
         .array(&view.isect_start, view.count)
         .arrays([view.order(), &view.isect_owner], 1)
         .over_chunks([view.tile_chunks(), 1])
@@ -81,7 +81,7 @@ pub fn emit<R: Real>(stage: &Program, view: &ViewBuffers<R>, active_only: bool) 
 
 /// Looks up the first pair of each tile among the sorted pairs.
 pub fn find_tiles<R: Real>(stage: &Program, view: &ViewBuffers<R>) -> Result<()> {
-    let tiles = view.camera.tile_count();
+    let tiles = view.camera.image().tile_count();
     stage
         .launch("bin_ranges")
         .array(&view.pairs.keys[view.pairs.sorted], 1)
@@ -97,7 +97,7 @@ fn by_tile<'k, R: Real>(
     view: &ViewBuffers<R>,
     active_only: bool,
 ) -> Launch<'k> {
-    let (tiles, chunks) = (view.camera.tile_count(), view.tile_chunks());
+    let (tiles, chunks) = (view.camera.image().tile_count(), view.tile_chunks());
     walk(launch, view, active_only)
         .uints([tiles, chunks])
         .array(&view.tile_counts, chunks * tiles)
@@ -118,9 +118,13 @@ fn walk<'k, R: Real>(launch: Launch<'k>, view: &ViewBuffers<R>, active_only: boo
         .array(&view.records, view.count)
         .array(view.visible.sorted_values(), view.count)
         .status(view)
-        .uints([camera.tiles[0] as usize]);
+        .uints([camera.across as usize]);
     if launch.defines().masked() {
-        let read = if active_only { camera.tile_count() } else { 0 };
+        let read = if active_only {
+            camera.image().tile_count()
+        } else {
+            0
+        };
         launch = launch
             .array(&view.active_tiles, read)
             .value(i32::from(active_only));
@@ -132,16 +136,16 @@ fn walk<'k, R: Real>(launch: Launch<'k>, view: &ViewBuffers<R>, active_only: boo
 
 /// True if the smallest value of the projected Gaussian's quadratic form over the tile's rectangle of pixel centres is within its
 /// reach. The minimum of a convex form over a rectangle lies at its centre or on the boundary; here every edge is looked
-/// at, whether it faces the mean or not.
+/// at, whether it faces the mean or not. Tiles have so many pixels a side.
 #[must_use]
-pub fn touches(g: &Projected64, tx: i32, ty: i32, alpha_min: f64) -> bool {
-    let inside = |k: usize, t: i32| g.bounds[k][0] / TILE <= t && t <= g.bounds[k][1] / TILE;
+pub fn touches(g: &Projected64, [tx, ty]: [i32; 2], tile: i32, alpha_min: f64) -> bool {
+    let inside = |k: usize, t: i32| g.bounds[k][0] / tile <= t && t <= g.bounds[k][1] / tile;
     if !inside(0, tx) || !inside(1, ty) {
         return false;
     }
-    let low = [tx, ty].map(|t| f64::from(t * TILE) + 0.5);
-    let x = [low[0] - g.mean[0], low[0] - g.mean[0] + f64::from(TILE - 1)];
-    let y = [low[1] - g.mean[1], low[1] - g.mean[1] + f64::from(TILE - 1)];
+    let low = [tx, ty].map(|t| f64::from(t * tile) + 0.5);
+    let x = [low[0] - g.mean[0], low[0] - g.mean[0] + f64::from(tile - 1)];
+    let y = [low[1] - g.mean[1], low[1] - g.mean[1] + f64::from(tile - 1)];
     let q = |dx: f64, dy: f64| g.a * (dx - g.r * dy).powi(2) + g.c * dy * dy;
     let mut least = f64::INFINITY;
     if x[0] <= 0.0 && x[1] >= 0.0 && y[0] <= 0.0 && y[1] >= 0.0 {
@@ -159,10 +163,15 @@ pub fn touches(g: &Projected64, tx: i32, ty: i32, alpha_min: f64) -> bool {
     least <= g.lo - alpha_min.log2() + TILE_SLACK
 }
 
-/// Gaussians of each tile (row major), sorted by the f32 depth, ties by index.
+/// Gaussians of each tile (row major) of so many pixels a side, sorted by the f32 depth, ties by index.
 #[must_use]
-pub fn bin(projected: &[Option<Projected64>], camera: &Camera64, alpha_min: f64) -> Vec<Vec<u32>> {
-    let [tiles_x, tiles_y] = camera.tiles();
+pub fn bin(
+    projected: &[Option<Projected64>],
+    camera: &Camera64,
+    tile: i32,
+    alpha_min: f64,
+) -> Vec<Vec<u32>> {
+    let [tiles_x, tiles_y] = camera.tiles(tile);
     let mut order: Vec<(f32, u32)> = projected
         .iter()
         .enumerate()
@@ -174,9 +183,9 @@ pub fn bin(projected: &[Option<Projected64>], camera: &Camera64, alpha_min: f64)
         let Some(g) = &projected[i as usize] else {
             continue;
         };
-        for ty in g.bounds[1][0] / TILE..=g.bounds[1][1] / TILE {
-            for tx in g.bounds[0][0] / TILE..=g.bounds[0][1] / TILE {
-                if touches(g, tx, ty, alpha_min) {
+        for ty in g.bounds[1][0] / tile..=g.bounds[1][1] / tile {
+            for tx in g.bounds[0][0] / tile..=g.bounds[0][1] / tile {
+                if touches(g, [tx, ty], tile, alpha_min) {
                     tiles[(ty * tiles_x + tx) as usize].push(i);
                 }
             }

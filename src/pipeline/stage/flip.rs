@@ -39,7 +39,7 @@ pub struct Flip<R: Real> {
 /// Rows and columns of a strip with what its filters reach beyond it.
 fn held(rows: usize, size: ImageSize, lanes: usize) -> [usize; 2] {
     // Whole vectors of the picture's columns see as many of the opponent space.
-    let columns = size.0[0].next_multiple_of(lanes) + 2 * FLIP_REACH;
+    let columns = size.pixels[0].next_multiple_of(lanes) + 2 * FLIP_REACH;
     [rows + 2 * FLIP_REACH, columns.next_multiple_of(lanes)]
 }
 
@@ -54,14 +54,15 @@ impl<R: Real> Flip<R> {
         let group_style = program.defines().tuning.group_style;
         let [fewest, most] = STRIP_ROWS;
         let strip = (BETWEEN[usize::from(group_style)] / each).clamp(fewest, most);
-        let strip = strip.min(largest.0[1]);
+        let strip = strip.min(largest.pixels[1]);
         let [rows, columns] = held(strip, largest, program.lanes());
+        let filtered = 2 * FILTERS * rows * largest.padded()[0];
         let values: Vec<R> = table().into_iter().map(R::of).collect();
         Ok(Self {
             table: Array::from_slice(device, "flip table", &values)?,
             opponents: Array::unset(device, "opponents", CHANNELS * rows * columns)?,
-            filtered: Array::unset(device, "filtered", 2 * FILTERS * rows * columns)?,
-            errors: Array::zeros(device, "flip errors", largest.0[1])?,
+            filtered: Array::unset(device, "filtered", filtered)?,
+            errors: Array::zeros(device, "flip errors", largest.pixels[1])?,
             strip,
             program,
         })
@@ -72,7 +73,7 @@ impl<R: Real> Flip<R> {
     /// # Errors
     /// The driver's.
     pub fn rows(&self, pair: &ImagePair<'_, R>) -> Result<Vec<R>> {
-        let ([width, height], [stride, _]) = (pair.size.0, pair.size.padded());
+        let ([width, height], [stride, _]) = (pair.size.pixels, pair.size.padded());
         for top in (0..height).step_by(self.strip) {
             let rows = self.strip.min(height - top);
             let [held, across] = held(rows, pair.size, self.program.lanes());

@@ -4,9 +4,10 @@ use std::ops::Range;
 use std::sync::OnceLock;
 
 use crate::base::constants::{
-    LOSS_DERIVATIVES, LOSS_ERRORS, LOSS_ROWS, SSIM_C, SSIM_SIGMA, SSIM_TAPS, TILE,
+    LOSS_DERIVATIVES, LOSS_ERRORS, LOSS_ROWS, SSIM_C, SSIM_SIGMA, SSIM_TAPS,
 };
 use crate::base::error::Result;
+use crate::device::tuning::Tuning;
 use crate::device::{Array, Device, ImageSize, Kernels, Launch, Program, Real};
 use crate::pipeline::buffers::{Blank, ViewBuffers};
 use crate::pipeline::launch::Arguments;
@@ -53,7 +54,7 @@ impl<'a, R: Real> ImagePair<'a, R> {
 
     /// Number of colour values of each.
     fn values(&self) -> f64 {
-        (3 * self.size.0[0] * self.size.0[1]) as f64
+        (3 * self.size.pixels[0] * self.size.pixels[1]) as f64
     }
 
     /// Adds render and all of the photo, with their size and the padded size.
@@ -123,7 +124,7 @@ const DERIVATIVE_PLANES: usize = 3;
 fn strip_rows(program: &Program, band: &Range<usize>) -> Range<usize> {
     let each = match program.defines().tuning.group_style {
         true => 1,
-        false => (TILE / LOSS_ROWS) as usize,
+        false => (program.defines().tuning.tile / LOSS_ROWS) as usize,
     };
     band.start * each..band.end * each
 }
@@ -158,7 +159,12 @@ pub const HALO: usize = SSIM_TAPS - 1;
 /// render and photo in [`HALO`] pixel rows beside the band; and strips of the band are left out only where all tiles beside them are
 /// blank, too, which is known of whole tiles.
 fn seen_rows(band: &Range<usize>, size: ImageSize) -> Range<usize> {
-    const { assert!(HALO <= TILE as usize, "more rows of tiles would be seen") };
+    const {
+        assert!(
+            HALO <= Tuning::GPU.tile as usize,
+            "more rows of tiles would be seen"
+        )
+    };
     if band.is_empty() {
         return band.clone();
     }
@@ -169,8 +175,8 @@ fn seen_rows(band: &Range<usize>, size: ImageSize) -> Range<usize> {
 /// for outside of the image, and the maps that they make of them for nothing.
 #[must_use]
 pub fn photo_rows(band: &Range<usize>, size: ImageSize) -> Range<usize> {
-    let (seen, height) = (seen_rows(band, size), size.0[1]);
-    let pixels = |row: usize| (row * TILE as usize).min(height);
+    let (seen, height) = (seen_rows(band, size), size.pixels[1]);
+    let pixels = |row: usize| (row * size.tile).min(height);
     pixels(seen.start)..pixels(seen.end)
 }
 

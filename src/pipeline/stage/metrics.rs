@@ -8,7 +8,7 @@ use crate::pipeline::stage::loss::ImagePair;
 /// Clamps the render in place and writes the squared error of each row (all channels) and the number of its pixels
 /// that count to rows 0 and 1 of `score`.
 pub fn score<R: Real>(stage: &Program, pair: &ImagePair<'_, R>, score: &Array<R>) -> Result<()> {
-    let [_, h] = pair.size.0;
+    let [_, h] = pair.size.pixels;
     pair.images(stage.launch("metrics"))
         .reals::<R>(pair.background.map(f64::from))
         .array(score, 2 * h)
@@ -23,7 +23,7 @@ pub fn sum_dissimilarity<R: Real>(
     (maps, planes): (&Array<R>, usize),
     score: &Array<R>,
 ) -> Result<()> {
-    let h = pair.size.0[1];
+    let h = pair.size.pixels[1];
     stage
         .launch("metrics_ssim")
         .array(maps, planes * pair.size.plane())

@@ -37,7 +37,7 @@ impl<R: Real> PhotoErrors<R> {
             .reals::<R>(pair.background.map(f64::from))
             .array(transforms, ENTRIES * (number + 1))
             .uints([number])
-            .over_groups(pair.size.0[1])
+            .over_groups(pair.size.pixels[1])
     }
 }
 

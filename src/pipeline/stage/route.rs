@@ -9,7 +9,6 @@ use crate::device::tuning::status;
 use crate::device::{Array, Device, Element, Kernels, Launch, Program, Projected, Real};
 use crate::device::{read_sections, write_sections};
 use crate::pipeline::buffers::ViewBuffers;
-use crate::pipeline::reference::TILE;
 use crate::pipeline::stage::project::Projected64;
 use crate::pipeline::stage::scan::{self, Totals};
 
@@ -344,7 +343,7 @@ impl<R: Real> Route<R> {
             let launch = self.program.launch(kernel).uints([own, count]);
             launch.array(&view.isect_counts, count)
         };
-        let (band, rows) = (&view.band, view.camera.tiles[1] as usize);
+        let (band, rows) = (&view.band, view.camera.image().tiles()[1]);
         over("route_lengths")
             .array(&view.records, count)
             .uints([band.start, band.end, rows])
@@ -509,10 +508,14 @@ impl<R: Real> Route<R> {
 
 // Definition in f64.
 
-/// Numbers of the Gaussians that a band of tile rows gets, and their first and last pixel row there.
+/// Numbers of the Gaussians that a band of rows of tiles of so many pixels a side gets, and their first and last pixel row there.
 #[must_use]
-pub fn route(projected: &[Option<Projected64>], band: [u32; 2]) -> Vec<(usize, [i32; 2])> {
-    let [from, to] = band.map(|row| row as i32 * TILE);
+pub fn route(
+    projected: &[Option<Projected64>],
+    tile: i32,
+    band: [u32; 2],
+) -> Vec<(usize, [i32; 2])> {
+    let [from, to] = band.map(|row| row as i32 * tile);
     let inside = |(i, g): (usize, &Option<Projected64>)| {
         let [first, last] = g.as_ref()?.bounds[1];
         let cut = [first.max(from), last.min(to - 1)];

@@ -22,7 +22,7 @@ pub fn add_norms<R: Real>(
         .uints([scene.stride, scene.count])
         .arrays([&view.isect_start, &view.isect_counts], scene.count)
         .array(&view.sums, SUMS)
-        .ints(view.camera.image().0)
+        .ints(view.camera.image().pixels)
         .status(view)
         .array(statistics, 2 * scene.stride)
         .over_items([scene.count, 1])

@@ -21,7 +21,7 @@ pub fn mark<R: Real>(
         .launch("seen_pairs")
         .tile_lists(view)
         .tiles(size)
-        .ints(size.0)
+        .ints(size.pixels)
         .array(seen, count)
         .array(shown, view.isect_owner.len())
         .over_tiles(size, &view.band)?;

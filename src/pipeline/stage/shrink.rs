@@ -18,8 +18,8 @@ pub fn reduce(
     (size, planes): (ImageSize, usize),
     scale: PhotoScale,
 ) -> Result<Array<u8>> {
-    let [from_w, from_h] = size.0;
-    let [w, h] = size.0.map(|s| scale.of(s));
+    let [from_w, from_h] = size.pixels;
+    let [w, h] = size.pixels.map(|s| scale.of(s));
     let small = Array::zeros(device, "small", planes * w * h)?;
     stage
         .launch("shrink")

@@ -15,7 +15,7 @@ pub fn composite<R: Real>(stage: &Program, view: &ViewBuffers<R>, color: [f32; 3
     let launch = stage.launch("splat").tile_lists(view).tiles(size);
     // Where work-items have pixels of their own, those below the image must not keep a tile open.
     let launch = match tuning.group_style {
-        true => launch.ints([size.0[1]]),
+        true => launch.ints([size.pixels[1]]),
         false => launch,
     };
     let launch = launch
@@ -33,7 +33,7 @@ pub fn composite<R: Real>(stage: &Program, view: &ViewBuffers<R>, color: [f32; 3
             .array(&view.snapshots, kept),
         false => launch,
     };
-    launch.over_tiles_by(size, &view.band, tuning.splat_group)
+    launch.over_tiles_by(size, &view.band, tuning.splat_group as usize)
 }
 
 // Definition in f64.
@@ -86,10 +86,10 @@ pub fn contributions(
     (out, t)
 }
 
-/// The list of the tile that holds a pixel.
+/// The list of the tile of [`TILE`] pixels a side that holds a pixel.
 #[must_use]
 pub fn list_at<'a>(tiles: &'a [Vec<u32>], camera: &Camera64, x: i32, y: i32) -> &'a [u32] {
-    &tiles[(y / TILE * camera.tiles()[0] + x / TILE) as usize]
+    &tiles[(y / TILE * camera.tiles(TILE)[0] + x / TILE) as usize]
 }
 
 /// Image over the background \[3, height, width\] and transmittance \[height, width\].

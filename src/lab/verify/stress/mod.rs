@@ -11,9 +11,8 @@
 mod families;
 mod updates;
 
-use crate::base::constants::TILE;
 use crate::base::error::Result;
-use crate::device::tuning::status;
+use crate::device::tuning::{Tuning, status};
 use crate::device::{Defines, Device};
 use crate::lab::verify::cases::Case;
 use crate::lab::verify::check::{EXACT, Row, Verification};
@@ -76,15 +75,19 @@ pub fn verify_family(device: &Device, family: &Family) -> Result<Vec<Row>> {
 fn more_pairs_than_24_bits(device: &Device) -> Result<Row> {
     /// Opaque Gaussians one behind the other, each over the whole image.
     const LAYERS: usize = 1100;
-    /// Edge of the image, pixels: 16,384 tiles.
+    /// Edge of the image, pixels: 16,384 tiles of the smallest size.
     const SIDE: u32 = 2048;
+    let tuning = Tuning {
+        tile: Tuning::GPU.tile,
+        ..device.tuning()
+    };
     let render = |n: usize| -> Result<(Vec<f32>, u32)> {
         let case = families::each("", n, [SIDE; 2], 78, |s, i| {
             s.scatter(Plane::POSITION, i, [0.0, 0.0, 1e-3 * i as f32]);
             s.scatter(Plane::LOG_SCALE, i, [5.0; 3]);
             s.scatter(Plane::OPACITY, i, [5.0]);
         });
-        let defines = Defines::new(device.tuning());
+        let defines = Defines::new(tuning);
         let mut renderer = Renderer::<f32>::new(device, defines, case.sh_degree, true)?;
         let scene = GaussianBuffers::upload(device, &case.splats, 0)?;
         let options = RenderOptions {
@@ -100,7 +103,7 @@ fn more_pairs_than_24_bits(device: &Device) -> Result<Row> {
         Ok((image, pairs))
     };
     let ((all, pairs), (first, _)) = (render(LAYERS)?, render(30)?);
-    let wanted = (SIDE as usize / TILE as usize).pow(2) * LAYERS;
+    let wanted = ((SIDE / tuning.tile) as usize).pow(2) * LAYERS;
     let largest = first.iter().fold(0.0f32, |l, v| l.max(v.abs()));
     let apart = |(a, b): (&f32, &f32)| f64::from((a - b).abs() / largest);
     let mut errors: Vec<f64> = all.iter().zip(&first).map(apart).collect();
