@@ -18,8 +18,8 @@ pub struct WorkConfig {
     pub resolution_detail: f64,
     /// Largest share of the run at the smaller sizes together.
     pub resolution_share: f64,
-    /// A run with a time budget into which fewer iterations fit trains at 3/4 of the photos' size, and at 9/16 where fewer than half as
-    /// many fit then (0: at the size asked for, however few). A third of it for transparent photos, which lose more by a smaller size.
+    /// Iterations after which as much is expected to be left to be learnt as photos of 3/4 of their size lose: by it a run with a time budget
+    /// chooses among all of the size, 3/4 and 9/16 of it (0: at the size asked for). Half of it for transparent photos, which lose more.
     pub resolution_iterations: u32,
     /// Morton order of the Gaussians, in layers from the top, so that neighbours in space are neighbours in memory.
     pub morton_order: bool,

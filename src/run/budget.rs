@@ -1,9 +1,10 @@
 //! Length of a run that fits a budget of time: planned from the cost of an iteration, and corrected on the way. Where few iterations fit the photos
-//! are trained on at a smaller size, at which there are more (docs/results/budgets.md).
+//! are trained on at the smaller size that promises the least error (docs/results/budgets.md).
 
 use crate::base::process::CPU_TICK;
 use crate::config::{Length, TrainConfig, TrainingSize};
 use crate::run::clock::Clock;
+use crate::run::error_model::ErrorModel;
 use crate::run::forecast::Forecast;
 
 /// Share of the budget that is planned for; the rest is left for what the plan does not foresee.
@@ -124,8 +125,8 @@ pub(super) struct Budget {
     planned: u32,
     /// Sizes of photos to choose from at the first plan, the largest first.
     sizes: Vec<TrainingSize>,
-    /// Iterations that the largest of them is to have; half as many for the next.
-    few: u32,
+    /// Expected errors of lengths at these sizes.
+    model: ErrorModel,
     /// Iterations that the first plan found room for at full size, where it chose a smaller one.
     at_full_size: Option<u32>,
 }
@@ -141,7 +142,9 @@ impl Budget {
         };
         Some(Self {
             sizes,
-            few: config.work.resolution_iterations,
+            model: ErrorModel {
+                even: config.work.resolution_iterations,
+            },
             ..Self::new(seconds, cpu, most)
         })
     }
@@ -154,7 +157,7 @@ impl Budget {
             most,
             planned: 0,
             sizes: vec![TrainingSize::Full],
-            few: 0,
+            model: ErrorModel { even: 0 },
             at_full_size: None,
         }
     }
@@ -218,24 +221,18 @@ impl Budget {
         })
     }
 
-    /// Iterations of the run, and the largest size of photos that leaves room for enough of them.
+    /// Iterations of the run, and the size of photos of which so many as fit promise the least error.
     fn first_plan(&mut self, done: u32, left: f64, forecast: &Forecast) -> (u32, TrainingSize) {
-        let mut needed = self.few.min(self.most);
-        let mut plan = (self.most, forecast.size());
-        for size in &self.sizes {
-            let fit = self.most_that_fit(done, left, &forecast.at_size(*size));
-            plan = (fit, *size);
-            if fit >= needed {
-                break;
-            }
-            if size.is_full() {
-                self.at_full_size = Some(fit);
-            }
-            needed /= 2;
-        }
-        if plan.1.is_full() {
-            self.at_full_size = None;
-        }
+        let fit = |size: &TrainingSize| {
+            let at_size = forecast.at_size(*size);
+            (self.most_that_fit(done, left, &at_size), *size)
+        };
+        let plans: Vec<_> = self.sizes.iter().map(fit).collect();
+        let error = |plan: &(u32, TrainingSize)| self.model.error(plan.0, plan.1);
+        let best = plans.iter().min_by(|a, b| error(a).total_cmp(&error(b)));
+        let plan = best.copied().unwrap_or((self.most, forecast.size()));
+        let full = plans.iter().find(|(_, size)| size.is_full());
+        self.at_full_size = full.filter(|_| !plan.1.is_full()).map(|(n, _)| *n);
         plan
     }
 
@@ -428,22 +425,23 @@ mod tests {
         let all = TrainingSize::ALL;
         let [full, quarters, sixteenths] = all;
         let size = |seconds, config: &TrainConfig| first_plan(seconds, config, &all).0;
-        let (_, n) = first_plan(60.0, &config, &all);
-        assert!(n > 1200, "{n}");
-        for (seconds, chosen) in [(60.0, full), (40.0, quarters), (8.0, sixteenths)] {
+        for (seconds, chosen) in [(40.0, full), (20.0, quarters), (8.0, sixteenths)] {
             assert_eq!(size(seconds, &config), chosen, "{seconds} s");
         }
         // Smaller photos leave room for more iterations.
-        let [whole, smaller] = [&all[..1], &all].map(|sizes| first_plan(40.0, &config, sizes).1);
+        let [whole, smaller] = [&all[..1], &all].map(|sizes| first_plan(20.0, &config, sizes).1);
         assert!(smaller > whole, "{smaller} {whole}");
         // Nobody gets more than are asked for, nor another size than there is to choose.
         config.iterations = 200;
-        assert_eq!(size(40.0, &config), full);
+        assert_eq!(size(20.0, &config), full);
         config.iterations = 30_000;
         for one in all {
             assert_eq!(first_plan(8.0, &config, &[one]).0, one);
         }
         assert_eq!(first_plan(8.0, &config, &all[..2]).0, quarters);
+        // Where smaller photos lose more of what is to be learnt.
+        config.work.resolution_iterations = 600;
+        assert_eq!(size(20.0, &config), full);
         config.work.resolution_iterations = 0;
         assert_eq!(size(8.0, &config), full);
         config.work.resolution_iterations = 100_000;

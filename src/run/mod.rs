@@ -20,6 +20,7 @@ pub mod checkpoint;
 pub mod clock;
 pub mod density_trace;
 mod drive;
+mod error_model;
 mod export;
 mod footprint;
 mod forecast;

@@ -237,29 +237,29 @@ impl Plan {
         self.smaller = self.smaller();
     }
 
-    /// Iterations of full size that are too few for it under a time budget. Transparent photos lose more by a smaller size
-    /// (docs/results/first-gaussians.md, docs/results/deaths-and-births.md for the third).
-    fn fewest_iterations(&self) -> u32 {
+    /// Iterations after which as much is left to be learnt of these photos as 3/4 of their size loses. Transparent ones lose more
+    /// (docs/results/budgets.md).
+    fn even_iterations(&self) -> u32 {
         let all = self.config.work.resolution_iterations;
         all / if self.alpha == Alpha::Transparency {
-            3
+            2
         } else {
             1
         }
     }
 
-    /// The configuration with the iterations that are too few for these photos in `work.resolution_iterations`.
+    /// The configuration with the iterations of these photos in `work.resolution_iterations`.
     #[must_use]
     pub fn for_budgets(&self) -> TrainConfig {
         let mut config = self.config.clone();
-        config.work.resolution_iterations = self.fewest_iterations();
+        config.work.resolution_iterations = self.even_iterations();
         config
     }
 
     /// The reason for photos below the size asked for, if the run ends with such.
     fn smaller(&self) -> Option<Why> {
         let size = self.config.last_size();
-        (!size.is_full()).then(|| Why::FewIterations(size, self.fewest_iterations()))
+        (!size.is_full()).then(|| Why::LeastError(size, self.even_iterations()))
     }
 
     /// The configuration with what the start decides about density control.

@@ -164,8 +164,9 @@ pub enum Why {
     Detail(Vec<f32>),
     /// Photos are too small to be halved.
     SmallPhotos,
-    /// Largest size of the photos, because fewer iterations than these of full size fit into the budget.
-    FewIterations(TrainingSize, u32),
+    /// Largest size of the photos, because what fits into the budget promises the least error at it, and the iterations after which as much is
+    /// left to be learnt as 3/4 of the size loses.
+    LeastError(TrainingSize, u32),
     /// Neighbours in space share cache lines.
     Locality,
     /// Blocks that a view cannot see cost next to nothing.
@@ -277,7 +278,7 @@ impl fmt::Display for Why {
                 let grey = grey.join(", ");
                 write!(f, ", double that when the loss is expected to be near the detail lost ({grey} grey levels)")
             }
-            Self::FewIterations(size, few) => spelt_size(f, *size, *few),
+            Self::LeastError(size, even) => spelt_size(f, *size, *even),
             Self::SmallPhotos => f.write_str("the photos are too small to be halved"),
             Self::Locality => {
                 f.write_str("neighbours in space share cache lines and are culled together")
@@ -338,11 +339,11 @@ impl fmt::Display for Why {
 }
 
 /// Spells the size of the photos where fewer iterations than wanted fit at full size.
-fn spelt_size(f: &mut fmt::Formatter<'_>, size: TrainingSize, few: u32) -> fmt::Result {
+fn spelt_size(f: &mut fmt::Formatter<'_>, size: TrainingSize, even: u32) -> fmt::Result {
     let [num, den] = size.fraction();
     write!(
         f,
-        "trained at {num}/{den} of it: fewer than {few} iterations of full size fit into the budget"
+        "trained at {num}/{den} of it: of what fits into the budget that promises the least error (3/4 loses what {even} iterations leave)"
     )
 }
 
