@@ -193,6 +193,14 @@ fn a_tuning_that_means_nothing_is_refused() {
     for (asked, said) in [
         ("vector-width=3", "1, 4, 8 or 16"),
         ("tile=48", "tile is 16 or 32"),
+        (
+            "tile=0,vector-width=1,block-width=1,group-style=true",
+            "tile is",
+        ),
+        (
+            "tile=65536,vector-width=1,block-width=1,group-style=true",
+            "tile is",
+        ),
         ("widht=8", "name=value"),
         ("fast", "name=value"),
     ] {

@@ -105,13 +105,13 @@ fn data_switch_items() {
             size,
         }];
     };
-    for (data, few) in [(&data, 600), (&room(64), 1200)] {
+    for (data, even) in [(&data, 600), (&room(64), 1200)] {
         let budgets = Plan::new(data, &TrainConfig::default())
             .unwrap()
             .for_budgets();
-        assert_eq!(budgets.work.resolution_iterations, few);
+        assert_eq!(budgets.work.resolution_iterations, even);
         let why = verdict(&plan(data, shortened), "photos of the size asked for").unwrap_err();
-        assert!(why.contains(&format!("what {few} it")), "{why}");
+        assert!(why.contains(&format!("what {even} it")), "{why}");
     }
     assert!(of(&data, "undistortion").unwrap().contains("3 photos"));
     assert!(of(&data, "held-out evaluation").is_err());

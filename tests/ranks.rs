@@ -79,7 +79,8 @@ pub fn same(a: &TrainerState, b: &TrainerState) {
 
 #[test]
 fn ranks_change_no_bit_of_any_sampler() {
-    let data = room(64);
+    // Three rows of tiles.
+    let data = room(128);
     for sampler in [Sampler::Mh, Sampler::Mcmc, Sampler::Adc] {
         let config = sampled(sampler);
         let (mut alone, _) = trained(&data, &config, 120);
@@ -125,13 +126,15 @@ fn ranks_change_no_bit_of_estimates() {
     same(&together.state().unwrap(), &want);
 }
 
+/// Tiles of which a small photo has several rows.
+const SMALL: Tuning = Tuning {
+    tile: 16,
+    ..Tuning::CPU
+};
+
 /// Photos that do not fit are decoded on demand, and each rank keeps the rows that its bands need, of smaller photos, too.
 #[test]
 fn ranks_keep_parts_of_photos_and_change_no_bit() {
-    let small = Tuning {
-        tile: 16,
-        ..Tuning::CPU
-    };
     // Of twelve rows of tiles a quarter is a band; on either side it sees one more, and another is kept.
     let (photo, few) = (256 * 192 * 3, 30);
     let data = room_within(256, Some(few * photo));
@@ -140,7 +143,7 @@ fn ranks_keep_parts_of_photos_and_change_no_bit() {
     config.max_size = 256;
     for (levels, iterations) in [(0, 50), (1, 130)] {
         config.work.resolution_levels = levels;
-        let [mut alone, mut together] = [1, 4].map(|n| shared(&data, &config, Some(small), n));
+        let [mut alone, mut together] = [1, 4].map(|n| shared(&data, &config, Some(SMALL), n));
         alone.advance_to(iterations).unwrap();
         together.advance_to(iterations).unwrap();
         same(&together.state().unwrap(), &alone.state().unwrap());
@@ -165,8 +168,8 @@ fn ranks_change_no_bit_of_transparent_or_masked_photos() {
             view.photo = small.into();
         }
         let config = sampled(Sampler::Mh);
-        let (mut alone, _) = trained(&data, &config, 80);
-        let mut together = shared(&data, &config, None, 3);
+        let [mut alone, mut together] = [1, 3].map(|n| shared(&data, &config, Some(SMALL), n));
+        alone.advance_to(80).unwrap();
         together.advance_to(80).unwrap();
         same(&together.state().unwrap(), &alone.state().unwrap());
     }

@@ -87,7 +87,7 @@ pub struct CameraArg<R> {
     pub near: R,
     /// Width and height, pixels.
     pub size: [i32; 2],
-    /// Edge of a tile, pixels.
+    /// Edge of a tile, pixels; for the host alone, as the next.
     pub tile: i32,
     /// Tiles in x.
     pub across: i32,
@@ -129,7 +129,7 @@ impl<R: Real> CameraArg<R> {
         Self {
             intrinsics: self.intrinsics.map(|v| R::of(v.into() * num / den)),
             size,
-            across: (size[0] as u32).div_ceil(self.tile as u32) as i32,
+            across: (size[0] as u32).div_ceil(self.tile.max(1) as u32) as i32,
             ..*self
         }
     }

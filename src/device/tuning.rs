@@ -164,7 +164,7 @@ impl Tuning {
                 "tile is 16 or 32, with group-style 16",
             ),
             (
-                !self.group_style || info.max_work_group >= self.tile_pixels(),
+                !self.group_style || info.max_work_group >= Self::GPU.tile_pixels(),
                 "the device has no room for a work-group per tile",
             ),
             (
@@ -180,7 +180,7 @@ impl Tuning {
                 "radix-bits is between 1 and 16",
             ),
             (
-                !self.group_style || self.radix_bits <= self.tile_pixels().ilog2(),
+                !self.group_style || self.radix_bits <= Self::GPU.tile_pixels().ilog2(),
                 "with group-style radix-bits is 8 at most",
             ),
             (

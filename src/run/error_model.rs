@@ -6,7 +6,7 @@ use crate::config::TrainingSize;
 const POWER: f64 = 1.5;
 
 /// Mean squared error of held-out photos at the size asked for, beyond that of an endless run at that size, in units of what 3/4 of it cannot
-/// show: (R/n)^[`POWER`] of the n iterations, and what the size cannot show. Fitted at eight datasets, three sizes and five lengths
+/// show: (R/n)^[`POWER`] of the n iterations, and what the size cannot show. Fitted at eight datasets, three sizes and four or five lengths
 /// from 120 to 1920 iterations each; from 240 on it is within 0.23 dB (root mean square; docs/results/budgets.md):
 ///
 /// | dataset | R | 9/16, units of 3/4 |

@@ -7,13 +7,14 @@ use std::thread::JoinHandle;
 
 use crate::base::error::{Error, Result};
 use crate::config::{Length, TrainingSize};
+use crate::device::ImageSize;
 use crate::pipeline::share::{Share, Worked};
 use crate::ranks::{Exchange, LEADER, Part, to_all};
 
-/// Time of a tile's loss in a division by bands, in times of finding and sorting a pair; by the stages of 500,000 Gaussians at 800 px on
-/// a CPU, and so for the next.
-const TILE_WORK: u64 = 96;
-/// Time of compositing a pair and of its gradient, in the same.
+/// Time of the loss of so many pixels in a division by bands, in times of finding and sorting a pair; by the stages of 500,000 Gaussians at
+/// 800 px on a CPU, and so for the next: 96 of a tile of 16 pixels a side, 400 of one of 32.
+const LOSS_WORK: [u64; 2] = [8, 3];
+/// Time of compositing a pair and of its gradient, in the same (2.3 in tiles of 32 pixels).
 const USED_PAIR_WORK: u64 = 3;
 
 /// The ranks as the leader sees them: messages, threads, pairs of views, counts.
@@ -196,10 +197,11 @@ impl Crew {
         self.exchange.trade(Part::Orders, messages).map(|_| ())
     }
 
-    /// Bands of the next render of a view of so many rows of `across` tiles.
+    /// Bands of the next render of a view of this size.
     #[must_use]
-    pub fn bands(&self, view: usize, [across, rows]: [usize; 2]) -> Vec<u32> {
-        let empty = TILE_WORK * across as u64;
+    pub fn bands(&self, view: usize, size: ImageSize) -> Vec<u32> {
+        let (rows, [pixels, work]) = (size.tiles()[1], LOSS_WORK);
+        let empty = (size.padded()[0] * size.tile) as u64 * work / pixels;
         let weights = match self.pairs.get(&(view, rows)) {
             Some(pairs) => {
                 let weight = |[all, used]: &[u32; 2]| {

@@ -338,7 +338,7 @@ impl fmt::Display for Why {
     }
 }
 
-/// Spells the size of the photos where fewer iterations than wanted fit at full size.
+/// Spells the size of the photos where a smaller one promises the least error.
 fn spelt_size(f: &mut fmt::Formatter<'_>, size: TrainingSize, even: u32) -> fmt::Result {
     let [num, den] = size.fraction();
     write!(

@@ -188,11 +188,10 @@ impl Trainer {
         }
         self.spread()?;
         let (number, size) = self.views.size_at(iteration);
-        let [across, rows] = size.tiles();
         let (Some(crew), Some(share)) = (&mut self.crew, &mut self.pipeline.share) else {
             return Ok(());
         };
-        let bands = crew.bands(number, [across, rows]);
+        let bands = crew.bands(number, size);
         let words = [&[ITERATE, iteration, sh_degree], bands.as_slice()].concat();
         share.set_bands(bands);
         // A photo that cannot be read is an error before the others begin.

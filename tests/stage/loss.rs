@@ -196,7 +196,14 @@ fn strips() -> Vec<Tuning> {
     };
     let all = [(16, 4, 400), (16, 4, 48), (8, 4, 8), (4, 2, 24), (1, 1, 40)];
     let own = Tuning::for_device(device().info());
-    all.into_iter().map(cut).chain([own, Tuning::GPU]).collect()
+    // That of runs that began with it.
+    let small = Tuning {
+        tile: 16,
+        strip: 400,
+        ..Tuning::CPU
+    };
+    let others = [own, small, Tuning::GPU];
+    all.into_iter().map(cut).chain(others).collect()
 }
 
 #[test]

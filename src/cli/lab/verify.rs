@@ -18,7 +18,7 @@ use mhsplat::lab::verify::{Verification, quick, tiny};
 /// Suites of cases.
 #[derive(Clone, Copy, ValueEnum)]
 enum Suite {
-    /// Three scenes of two tiles, for interpreters of kernels.
+    /// Three scenes of two tiles or three, for interpreters of kernels.
     Tiny,
     /// A few small scenes.
     Quick,

@@ -45,15 +45,15 @@ pub fn quick(device: &Device) -> Result<Verification> {
     suite(device, "quick", &cases)
 }
 
-/// Runs the tiny suite, for interpreters such as oclgrind: every stage of three scenes of two tiles, both precisions, the device's styles.
+/// Runs the tiny suite, for interpreters such as oclgrind: every stage of three scenes of two tiles or three, both precisions, the device's styles.
 pub fn tiny(device: &Device) -> Result<Verification> {
-    let mild = |name, sh_degree, seed| mild(name, 12, [20, 10], sh_degree, seed);
-    let alpha = mild("12 Gaussians, 20x10, SH 2, alpha", 2, 31).with_alpha();
-    let mut filtered = mild("12 Gaussians, 20x10, SH 1, anti-aliased", 1, 32).anti_aliased(1);
+    let mild = |name, sh_degree, seed| mild(name, 12, [36, 10], sh_degree, seed);
+    let alpha = mild("12 Gaussians, 36x10, SH 2, alpha", 2, 31).with_alpha();
+    let mut filtered = mild("12 Gaussians, 36x10, SH 1, anti-aliased", 1, 32).anti_aliased(1);
     // Behind the camera: it takes the largest filter of the others.
     let behind = [0.0, 0.0, -8.0];
     filtered.splats.scatter(Plane::POSITION, 5, behind);
-    let mut masked = mild("12 Gaussians, 20x10, SH 0, mask", 0, 33).with_mask();
+    let mut masked = mild("12 Gaussians, 36x10, SH 0, mask", 0, 33).with_mask();
     masked.error_map_bound = Some(SINGLE_MASKED_MAP);
     suite(device, "tiny", &[alpha, filtered, masked])
 }
