@@ -207,6 +207,7 @@ fn a_budget_with_room_for_few_iterations_trains_on_smaller_photos() {
         let said = String::from_utf8_lossy(&done.stderr);
         assert!(done.status.success(), "{said}");
         assert!(said.contains("9/16 of the photos' size"), "{said}");
+        assert!(said.contains("MB of memory"), "{said}");
         let record = RunRecord::read(run(&name)).unwrap();
         // Other programs may have taken the time that was left for the last iterations.
         (record.iterations == record.config.last_iterations()).then_some((record, run(&name)))

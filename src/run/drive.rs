@@ -260,7 +260,8 @@ impl Run {
         if (first || length.size != before)
             && let Some(budget) = self.pace.budget()
         {
-            progress(&self.progress(Some(budget.told(&length))));
+            let size = self.forecast.told_size(length.iterations);
+            progress(&self.progress(Some(budget.told(&length) + &size)));
         }
         Ok(())
     }

@@ -27,10 +27,11 @@ pub(super) struct Footprint {
 
 impl Footprint {
     /// That of a run; `None` on other devices than a CPU, and where ranks share the run: of these nothing was measured.
-    pub fn of(trainer: &Trainer, ranks: usize) -> Option<Self> {
+    pub fn of(trainer: &Trainer) -> Option<Self> {
         let photos = trainer.photo_stats();
         let held = photos.total_bytes.min(photos.budget_bytes);
-        (ranks == 1 && trainer.device_kind() == DeviceKind::Cpu).then(|| Self {
+        let alone = trainer.ranks() == 1;
+        (alone && trainer.device_kind() == DeviceKind::Cpu).then(|| Self {
             photos: held as f64,
             pixels: trainer.largest_photo() as f64,
         })

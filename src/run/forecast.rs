@@ -261,7 +261,7 @@ impl Forecast {
             ),
             pixels: trainer.largest_photo() as f64,
             size: config.last_size(),
-            footprint: Footprint::of(trainer, ranks),
+            footprint: Footprint::of(trainer),
             also: if exposed {
                 scored.0
             } else {
@@ -445,13 +445,7 @@ impl Forecast {
     /// The time `left` that a run of `iterations` is expected to take yet, the size of its scene and its memory, and the time of the presets beside it.
     pub fn told(&self, iterations: u32, left: f64) -> String {
         let mut text = format!("{iterations} iterations: about {} left", about(left));
-        if let Some(steps) = self.steps(iterations) {
-            let n = steps.last().map_or(self.since.1.gaussians, |(_, n)| *n);
-            let _ = write!(text, ", {} Gaussians", counted(n));
-            if let Some(footprint) = &self.footprint {
-                let _ = write!(text, ", {}", footprint.told(n));
-            }
-        }
+        text += &self.told_size(iterations);
         let others = Preset::ALL.iter().filter(|p| p.iterations() != iterations);
         let times = others.filter_map(|p| {
             let whole = self.left(0, p.iterations())?;
@@ -460,6 +454,16 @@ impl Forecast {
         let times: Vec<String> = times.collect();
         let _ = write!(text, " (on this device --preset {})", times.join(", "));
         text
+    }
+
+    /// The size of the scene of a run of so many iterations, and its memory, as far as they are known, to come after what is told of it.
+    pub fn told_size(&self, iterations: u32) -> String {
+        let Some(steps) = self.steps(iterations) else {
+            return String::new();
+        };
+        let n = steps.last().map_or(self.since.1.gaussians, |(_, n)| *n);
+        let memory = self.footprint.map(|f| format!(", {}", f.told(n)));
+        format!(", {} Gaussians{}", counted(n), memory.unwrap_or_default())
     }
 
     /// Seconds from `done` iterations to the very end of a run of `length`; `None` before the first measurement.

@@ -132,6 +132,12 @@ impl Trainer {
         self.device.tuning()
     }
 
+    /// Number of devices or processes that share the training.
+    #[must_use]
+    pub fn ranks(&self) -> usize {
+        self.device.helpers().ranks()
+    }
+
     /// Kind of the device.
     #[must_use]
     pub fn device_kind(&self) -> DeviceKind {
