@@ -190,6 +190,12 @@ fn usage_errors_exit_with_2() {
 
 #[test]
 fn a_tuning_that_means_nothing_is_refused() {
+    let devices = |tuning: &str| {
+        let mut command = program();
+        command.env("MHSPLAT_TUNING", tuning).arg("devices");
+        command.output().unwrap()
+    };
+    let listed = |tuning| String::from_utf8_lossy(&devices(tuning).stdout).into_owned();
     for (asked, said) in [
         ("vector-width=3", "1, 4, 8 or 16"),
         ("tile=48", "tile is 16 or 32"),
@@ -204,11 +210,7 @@ fn a_tuning_that_means_nothing_is_refused() {
         ("widht=8", "name=value"),
         ("fast", "name=value"),
     ] {
-        let out = program()
-            .env("MHSPLAT_TUNING", asked)
-            .arg("devices")
-            .output()
-            .unwrap();
+        let out = devices(asked);
         let text = String::from_utf8_lossy(&out.stderr).into_owned();
         assert_eq!(out.status.code(), Some(2), "{text}");
         assert!(
@@ -216,23 +218,12 @@ fn a_tuning_that_means_nothing_is_refused() {
             "{text}"
         );
     }
-    let out = program()
-        .env("MHSPLAT_TUNING", "strip=800")
-        .arg("devices")
-        .output()
-        .unwrap();
-    let text = String::from_utf8_lossy(&out.stdout).into_owned();
+    let text = listed("strip=800");
     assert!(
         text.contains("given") && text.contains("strip=800"),
         "{text}"
     );
     // The other style has tiles of its own.
-    let group = "vector-width=1,block-width=1,group-style=true,radix-bits=8";
-    let out = program()
-        .env("MHSPLAT_TUNING", group)
-        .arg("devices")
-        .output()
-        .unwrap();
-    let text = String::from_utf8_lossy(&out.stdout).into_owned();
+    let text = listed("vector-width=1,block-width=1,group-style=true,radix-bits=8");
     assert!(text.contains("group-style=true,tile=16"), "{text}");
 }
