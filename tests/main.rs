@@ -15,6 +15,7 @@ mod batches;
 mod bench;
 mod budget;
 mod cells;
+mod clearance;
 mod cli;
 mod compare;
 mod dataset;

@@ -211,6 +211,7 @@ fn a_run_that_began_at_full_size_says_why_it_stays_there() {
     let begun = Begun {
         anti_aliasing: Some(false),
         detail: Some(Vec::new()),
+        ..Begun::default()
     };
     for (size, reason) in [(256, "as in the checkpoint"), (64, "too small")] {
         let data = room_within(size, None);
@@ -390,6 +391,7 @@ fn a_run_that_goes_on_measures_no_photo_again() {
     let begun = |detail: &[f32]| Begun {
         anti_aliasing: Some(plan.anti_aliasing.value),
         detail: Some(detail.to_vec()),
+        clearance: Some(plan.clearance.value.clone()),
     };
     let same = Plan::begun(&lazy, &config, &begun(&plan.detail.value)).unwrap();
     assert_eq!(same, plan);

@@ -58,6 +58,8 @@ fn options_switch_items() {
     switched("births in image space", |c| c.mh.pixel_proposals = 0, false);
     let bound = "bound of the number of Gaussians";
     switched(bound, |c| c.mh.pair_pixels = 0.0, false);
+    let free = "space about the cameras kept free";
+    switched(free, |c| c.clearance = 0.0, false);
     let early = "births from the first density step on";
     switched(early, |c| c.init = Init::Random, true);
 }
@@ -116,6 +118,8 @@ fn data_switch_items() {
     assert!(of(&data, "undistortion").unwrap().contains("3 photos"));
     assert!(of(&data, "held-out evaluation").is_err());
     assert!(of(&data, "initial Gaussians from points").is_err());
+    let free = verdict(&plan(&data, |_| {}), "space about the cameras kept free");
+    assert!(free.unwrap_err().contains("no points"));
     let options = LoadOptions {
         max_size: 64,
         image_budget: Some(30_000),

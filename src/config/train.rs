@@ -59,6 +59,10 @@ pub struct TrainConfig {
     /// photos mh's own (mh.pair-pixels), mcmc: 1000000, else none].
     #[arg(long, value_name = "N")]
     pub max_gaussians: Option<usize>,
+    /// Radius of the space about each training camera that density steps keep free of Gaussians, over the distance of the sparse points
+    /// nearest to it (0: none; below 1).
+    #[arg(long, value_name = "SHARE", default_value_t = Self::default().clearance)]
+    pub clearance: f64,
     /// SH degree, 0 to 3.
     #[arg(long, value_name = "D", default_value_t = Self::default().sh_degree)]
     pub sh_degree: u32,
@@ -171,6 +175,7 @@ impl Default for TrainConfig {
             max_size: 1600,
             image_budget: None,
             max_gaussians: None,
+            clearance: 0.5,
             sh_degree: 3,
             seed: 0,
             eval_every: None,
@@ -221,6 +226,9 @@ impl TrainConfig {
         check(self.image_budget != Some(0), "--image-budget", what)?;
         let what = "0; at least 1 expected";
         check(self.max_gaussians != Some(0), "--max-gaussians", what)?;
+        let what = format!("{}; 0 to less than 1 expected", self.clearance);
+        let good = (0.0..1.0).contains(&self.clearance);
+        check(good, "--clearance", &what)?;
         for (time, option) in [
             (self.time_budget, "--time-budget"),
             (self.budget_cpu, "--budget-cpu"),

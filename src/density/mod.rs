@@ -7,10 +7,12 @@
 //! | `control.rs` | the trait, the context of a step, births to be estimated |
 //! | `state.rs`, `statistics.rs`, `picture.rs` | input: parameters, statistics per Gaussian, renders of views |
 //! | `outcome.rs` | output: edits, removals, counters |
+//! | `clearance.rs` | space about the cameras in which no Gaussian lives |
 //! | `draw.rs`, `relocation.rs` | draws by weight, dead Gaussians that take over alive ones |
 //! | `mh/`, `mcmc.rs`, `adc.rs`, `none.rs` | the strategies |
 
 mod adc;
+pub mod clearance;
 mod control;
 pub mod draw;
 mod mcmc;
@@ -24,6 +26,7 @@ mod statistics;
 
 pub use crate::scene::Edit;
 pub use adc::Adaptive;
+pub use clearance::Clearance;
 pub use control::{DensityControl, Estimator, Expected, NoiseLaw, StepContext};
 pub use mcmc::Mcmc;
 pub use none::Fixed;

@@ -71,6 +71,9 @@ struct Header {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     deciding: Option<PendingStep>,
     detail: Vec<f32>,
+    /// Absent in earlier versions, whose runs had none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    clearance: Option<Vec<f32>>,
     /// [`TrainerState::swept`]; absent if none were looked for.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     swept: Option<usize>,
@@ -130,6 +133,7 @@ pub fn write(run_dir: &Path, checkpoint: &Checkpoint) -> Result<()> {
         next: state.next,
         deciding: state.deciding.clone(),
         detail: state.detail.clone(),
+        clearance: Some(state.clearance.clone()),
         swept: state.swept,
         sh_degree: state.splats.sh_degree(),
         config: checkpoint.config.clone(),
@@ -264,8 +268,17 @@ pub fn read_config(run_dir: &Path) -> Result<TrainConfig> {
         .get(ENTRY)
         .ok_or_else(|| text(&NOT_OURS))?;
     check_version(written).map_err(|e| text(&e))?;
-    let header: Header = from_json(written).map_err(|e| text(&e))?;
+    let header = header(written).map_err(|e| text(&e))?;
     Ok(header.config)
+}
+
+/// The header from its text. What runs of earlier versions did not have is off in their configuration.
+fn header(written: &str) -> std::result::Result<Header, String> {
+    let mut header: Header = from_json(written)?;
+    if header.clearance.is_none() {
+        header.config.clearance = 0.0;
+    }
+    Ok(header)
 }
 
 /// Refuses the header of another version.
@@ -299,7 +312,7 @@ fn parse(data: &[u8]) -> std::result::Result<Checkpoint, String> {
     if entry("crc32") != Some(&checksum(written, parts.map(|t| t.data()))) {
         return Err("its checksum is wrong".into());
     }
-    let header: Header = from_json(written)?;
+    let header = header(written)?;
     let expected = Plane::count(header.sh_degree.min(3));
     let read = |name, rows, columns| planes(&tensors, name, rows, columns);
     let params = read("params", expected, None)?;
@@ -335,6 +348,7 @@ fn parse(data: &[u8]) -> std::result::Result<Checkpoint, String> {
             next: header.next,
             deciding,
             detail: header.detail,
+            clearance: header.clearance.unwrap_or_default(),
             swept: header.swept,
             splats,
             rows: GaussianRows {

@@ -181,6 +181,7 @@ impl Run {
         let begun = Begun {
             anti_aliasing: Some(smoothed),
             detail: Some(saved.state.detail.clone()),
+            clearance: Some(saved.state.clearance.clone()),
         };
         let dataset = dataset.as_begun(saved.state.swept);
         let plan = Plan::begun(&dataset, &config, &begun)?.on_device(&device);

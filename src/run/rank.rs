@@ -30,6 +30,7 @@ struct Beginning {
     /// Decisions that belong to the whole run.
     anti_aliasing: bool,
     detail: Vec<f32>,
+    clearance: Vec<f32>,
     swept: Option<usize>,
     /// Highest SH degree of the first Gaussians.
     sh_degree: u32,
@@ -90,6 +91,7 @@ pub(super) fn beginning(
         tuning: trainer.tuning(),
         anti_aliasing: plan.anti_aliasing.value,
         detail: plan.detail.value.clone(),
+        clearance: plan.clearance.value.clone(),
         swept: plan.swept,
         sh_degree,
     });
@@ -144,6 +146,7 @@ pub fn serve(
     let begun = Begun {
         anti_aliasing: Some(said.anti_aliasing),
         detail: Some(said.detail),
+        clearance: Some(said.clearance),
     };
     let dataset = dataset.as_begun(said.swept);
     let plan = Plan::begun(&dataset, &said.config, &begun)?;

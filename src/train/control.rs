@@ -350,6 +350,7 @@ impl Control {
                 pictures: &[],
             },
             cameras: on.views.set.cameras.iter().map(|c| c.center).collect(),
+            clearance: self.plan.clearance.value.clone(),
             snapshot,
             wanted: self.strategy.wanted(on.views.len(), progress),
             pictures: self.pictures(on, iteration, progress)?,

@@ -1,6 +1,7 @@
 //! Density steps between their begin and their end: what a strategy decides from, and its decision, taken at once or while training goes
 //! on.
 
+use std::borrow::Cow;
 use std::sync::Arc;
 use std::thread::{Builder, JoinHandle};
 use std::time::Instant;
@@ -10,8 +11,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::base::error::{Error, Result};
 use crate::density::{
-    DensityControl, DensityStats, Edit, ErrorStatistics, Estimator, Outcome, Picture, SceneState,
-    ScreenGradient, Statistics, StatisticsKind, StepContext,
+    Clearance, DensityControl, DensityStats, Edit, ErrorStatistics, Estimator, Outcome, Picture,
+    SceneState, ScreenGradient, Statistics, StatisticsKind, StepContext,
 };
 use crate::scene::Plane;
 use crate::train::crew::Words;
@@ -25,6 +26,8 @@ pub(super) struct Evidence {
     pub(super) context: StepContext<'static>,
     /// Centres of the training cameras.
     pub(super) cameras: Vec<[f32; 3]>,
+    /// Radii of the free space about them ([`Plan::clearance`](crate::train::Plan::clearance)).
+    pub(super) clearance: Vec<f32>,
     /// Parameters and statistics.
     pub(super) snapshot: PendingSnapshot,
     /// Kind of the statistics.
@@ -108,11 +111,13 @@ impl Evidence {
             pictures: &pictures,
             ..self.context
         };
+        let clearance = Clearance::new(&self.cameras, &self.clearance);
+        let logits = logits(&before, &clearance);
         let scene = SceneState {
             positions: std::array::from_fn(|k| before.plane(Plane::POSITION + k)),
             log_scales: std::array::from_fn(|k| before.plane(Plane::LOG_SCALE + k)),
             rotations: std::array::from_fn(|k| before.plane(Plane::ROTATION + k)),
-            opacity_logits: before.plane(Plane::OPACITY),
+            opacity_logits: &logits,
         };
         let views: Vec<u32> = match self.wanted {
             StatisticsKind::Nothing => Vec::new(),
@@ -141,6 +146,21 @@ impl Evidence {
             seconds: began.elapsed().as_secs_f64(),
         })
     }
+}
+
+/// Opacity logits for the strategy: whatever stands in the free space about a camera counts as transparent, and goes by its rules.
+fn logits<'a>(before: &'a Snapshot, clearance: &Clearance) -> Cow<'a, [f32]> {
+    let logits = before.plane(Plane::OPACITY);
+    if clearance.is_empty() {
+        return Cow::Borrowed(logits);
+    }
+    let [x, y, z] = std::array::from_fn(|k| before.plane(Plane::POSITION + k));
+    let rows = x.par_iter().zip(y).zip(z).zip(logits);
+    let seen = rows.map(|(((x, y), z), logit)| match clearance.holds([*x, *y, *z]) {
+        true => f32::NEG_INFINITY,
+        false => *logit,
+    });
+    Cow::Owned(seen.collect())
 }
 
 impl PendingStep {

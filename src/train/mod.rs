@@ -2,6 +2,7 @@
 
 mod bound;
 pub mod brightness;
+mod clearance;
 pub mod control;
 pub mod crew;
 pub mod decision;

@@ -18,6 +18,7 @@ use crate::device::{Device, DeviceKind};
 use crate::scene::{formats, morton};
 use crate::train::bound::most_gaussians;
 use crate::train::brightness::GainSpread;
+use crate::train::clearance::clearance;
 use crate::train::reasons::{Decided, NO_CAMERA_SAW, Part, Why};
 use crate::train::sampling_rates::Spreads;
 use crate::train::schedule::{Schedule, most_halvings};
@@ -75,6 +76,8 @@ pub struct Begun {
     pub anti_aliasing: Option<bool>,
     /// [`Plan::detail`].
     pub detail: Option<Vec<f32>>,
+    /// [`Plan::clearance`].
+    pub clearance: Option<Vec<f32>>,
 }
 
 /// Iterations that a GPU does while a density step is decided on the host, which takes it about as long (docs/results/gpu.md).
@@ -93,6 +96,8 @@ pub struct Plan {
     pub anti_aliasing: Decided<bool>,
     /// Detail lost by the smaller sizes at the start of the run ([`sizes::detail`]); empty for full size throughout.
     pub detail: Decided<Vec<f32>>,
+    /// Radii of the space about each training camera that density steps keep free of Gaussians, local units; empty without it.
+    pub clearance: Decided<Vec<f32>>,
     /// Per-image exposure compensation.
     pub exposure: Decided<Exposure>,
     /// Highest SH degree.
@@ -191,6 +196,7 @@ impl Plan {
                 known => as_begun(anti_aliasing(dataset, config), known),
             },
             detail: detail(dataset, config, begun.detail.as_ref())?,
+            clearance: clearance(dataset, config, begun.clearance.as_ref())?,
             exposure: exposure(config, alpha)?,
             sh_degree: match config.sh_degree {
                 0 => Decided::new(0, Why::NoBands),
@@ -350,6 +356,11 @@ impl Plan {
                 Part::Bound,
                 self.most_gaussians.value.is_some(),
                 &self.most_gaussians.why,
+            )),
+            (self.config.sampler != Sampler::None).then_some((
+                Part::Clearance,
+                !self.clearance.value.is_empty(),
+                &self.clearance.why,
             )),
             typed((Part::Exposure, exposed), &self.exposure.why),
             fact(Part::HeldOut),

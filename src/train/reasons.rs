@@ -53,6 +53,8 @@ pub enum Part {
     PixelBirths,
     /// [`crate::train::Plan::most_gaussians`].
     Bound,
+    /// [`crate::train::Plan::clearance`].
+    Clearance,
     /// Births of mh from the first density step on.
     EarlyBirths,
     /// [`crate::train::Plan::exposure`].
@@ -94,6 +96,7 @@ impl fmt::Display for Part {
             Self::Noise => "noise on positions",
             Self::PixelBirths => "births in image space",
             Self::Bound => "bound of the number of Gaussians",
+            Self::Clearance => "space about the cameras kept free",
             Self::EarlyBirths => "births from the first density step on",
             Self::Exposure => "per-image exposure",
             Self::HeldOut => "held-out evaluation",
@@ -195,6 +198,8 @@ pub enum Why {
     NoiseMovesFaint,
     /// Views rendered for each density step, the weight of surfaces, and true if the views have to agree about them.
     PixelViews(u32, f64, bool),
+    /// Share of the distance of the nearest points that is kept free about cameras, and the median radius, in the dataset's units.
+    Free(f64, f64),
     /// Bound that was asked for.
     AtMost(usize),
     /// Bound by the photos, and the number of places that these were taken from.
@@ -236,6 +241,16 @@ const NOTHING_AGREES: &str =
 
 fn mebibytes(bytes: u64) -> String {
     format!("{:.0} MiB", bytes as f64 / f64::from(1 << 20))
+}
+
+/// Spells the reason for free space about cameras.
+fn free(f: &mut fmt::Formatter<'_>, share: f64, radius: f64) -> fmt::Result {
+    let nearest = "of the distance of the sparse points nearest to it";
+    let why = "what stands there, beside the photos, would veil other views";
+    write!(
+        f,
+        "about each camera to {share} {nearest} (median {radius:.3}): {why}"
+    )
 }
 
 impl fmt::Display for Why {
@@ -302,6 +317,7 @@ impl fmt::Display for Why {
                 "{views} views are rendered for each step, of weight {surface} on surfaces{}",
                 if *asked { " that they agree about" } else { "" },
             ),
+            Self::Free(share, radius) => free(f, *share, *radius),
             Self::AtMost(most) => write!(f, "--max-gaussians {most}"),
             Self::OverfitBeyond(most, places) => write!(
                 f,

@@ -19,6 +19,8 @@ pub struct TrainerState {
     pub next: Next,
     /// [`Plan::detail`](crate::train::Plan::detail).
     pub detail: Vec<f32>,
+    /// [`Plan::clearance`](crate::train::Plan::clearance).
+    pub clearance: Vec<f32>,
     /// [`Dataset::swept`](crate::capture::Dataset::swept).
     pub swept: Option<usize>,
     /// Parameters.
@@ -57,6 +59,7 @@ impl Trainer {
                 next => next,
             },
             detail: self.plan.detail.value.clone(),
+            clearance: self.plan.clearance.value.clone(),
             swept: self.plan.swept,
             splats,
             rows,

@@ -216,6 +216,7 @@ fn only_run_control_may_change_with_resume() {
         ["--surrogate", "probe"],
         ["--max-size", "64"],
         ["--max-gaussians", "9"],
+        ["--clearance", "0.4"],
         ["--batch", "2"],
         ["--sh-degree", "3"],
         ["--seed", "0"],

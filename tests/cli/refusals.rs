@@ -286,6 +286,8 @@ fn configurations_that_make_no_sense() {
         ("--background", "plaid"),
         ("--init", "nowhere.ply"),
         ("--max-size", "0"),
+        ("--clearance", "1"),
+        ("--clearance", "nan"),
         ("--image-budget", "0"),
         ("--image-budget", "much"),
         ("--image-budget", "1K"),
