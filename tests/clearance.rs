@@ -1,5 +1,8 @@
 //! Space about the training cameras in which no Gaussian stays.
 
+use std::fs;
+
+use crate::cli::mhsplat;
 use crate::determinism::{drive, room, saved};
 use mhsplat::Plan;
 use mhsplat::capture::Dataset;
@@ -7,10 +10,11 @@ use mhsplat::config::{Sampler, TrainConfig};
 use mhsplat::density::Clearance;
 use mhsplat::density::clearance::radii;
 use mhsplat::device::Device;
-use mhsplat::run::{checkpoint, initial_gaussians};
+use mhsplat::run::{RunRecord, checkpoint, initial_gaussians};
 use mhsplat::scene::{Gaussians, Plane};
 use mhsplat::train::{Begun, Trainer};
 
+const ROOM: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/data/room-tiny");
 const ITERATIONS: u32 = 240;
 /// Cameras that have a Gaussian behind them at first.
 const PLANTED: usize = 3;
@@ -57,7 +61,7 @@ fn centers(data: &Dataset) -> Vec<[f32; 3]> {
     centers.map(|c| c.as_vec3().to_array()).collect()
 }
 
-/// Trained until density control has had a step, and the configuration.
+/// Trained until density control has had steps.
 fn trained(data: &Dataset, radii: &[f32], sampler: Sampler, clearance: f64) -> Trainer {
     let config = config(sampler, clearance);
     let plan = Plan::new(data, &config).unwrap();
@@ -117,4 +121,36 @@ fn a_run_that_began_without_goes_on_without() {
     assert!(kept(&radii[1..]).is_err());
     radii[0] = f32::NAN;
     assert!(kept(&radii).is_err());
+}
+
+/// What a run of an earlier version, which names no clearance, was made without stays off.
+#[test]
+fn records_of_earlier_versions_had_none() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = |name: &str| dir.path().join(name).to_str().unwrap().to_owned();
+    let (first, again) = (path("first"), path("again"));
+    let train = |out: &str, more: &[&str]| {
+        let all = [
+            "train",
+            ROOM,
+            "-o",
+            out,
+            "--iterations",
+            "2",
+            "--max-size",
+            "64",
+        ];
+        let output = mhsplat(&[&all[..], more].concat());
+        assert!(output.status.success());
+        RunRecord::read(out).unwrap().config.clearance
+    };
+    assert_eq!(train(&first, &[]), 0.5);
+    let file = format!("{first}/run.json");
+    let text = fs::read_to_string(&file).unwrap();
+    let mut record: serde_json::Value = serde_json::from_str(&text).unwrap();
+    let config = record["config"].as_object_mut().unwrap();
+    assert!(config.remove("clearance").is_some());
+    fs::write(&file, record.to_string()).unwrap();
+    assert_eq!(RunRecord::read(&first).unwrap().config.clearance, 0.0);
+    assert_eq!(train(&again, &["--config", &file]), 0.0);
 }

@@ -7,7 +7,7 @@
 use rayon::prelude::*;
 use rustc_hash::FxHashMap;
 
-/// Share of the points that may be nearer to a camera than the distance that counts: some are wrong.
+/// One in so many points may be nearer to a camera than the distance that counts: some are wrong.
 const NEAREST: usize = 1000;
 
 /// Points that are looked at, evenly spread over the file.
@@ -68,7 +68,9 @@ impl Clearance {
         for (center, radius) in centers.iter().zip(radii).filter(|(_, r)| **r > 0.0) {
             let ball = clearance.balls.len() as u32;
             clearance.balls.push((*center, radius * radius));
-            let [from, to] = [-radius, *radius].map(|r| clearance.cell(center.map(|c| c + r)));
+            let radius = f64::from(*radius);
+            let corner = |sign: f64| center.map(|c| f64::from(c) + sign * radius);
+            let [from, to] = [-1.0, 1.0].map(|sign| clearance.cell(corner(sign)));
             for x in from[0]..=to[0] {
                 for y in from[1]..=to[1] {
                     for z in from[2]..=to[2] {
@@ -93,13 +95,13 @@ impl Clearance {
             let (center, radius) = self.balls[*ball as usize];
             square(position, center) < radius
         };
-        let near = self.cells.get(&self.cell(position));
+        let near = self.cells.get(&self.cell(position.map(f64::from)));
         near.is_some_and(|balls| balls.iter().any(inside))
     }
 
     /// The cell of a position; the conversion saturates.
-    fn cell(&self, position: [f32; 3]) -> [i32; 3] {
-        position.map(|v| (v / self.edge).floor() as i32)
+    fn cell(&self, position: [f64; 3]) -> [i32; 3] {
+        position.map(|v| (v / f64::from(self.edge)).floor() as i32)
     }
 }
 

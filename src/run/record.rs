@@ -331,11 +331,30 @@ impl RunRecord {
         let path = run_dir.as_ref().join(RECORD_FILE);
         let text = std::fs::read_to_string(&path).map_err(|e| Error::io(&path, e))?;
         let read = from_json(&text).or_else(|e| without_retired(&text).ok_or(e));
+        let read = read.map(|record: Self| record.without_later_options(&text));
         read.map_err(|e| {
             let fix = "give a folder that `mhsplat train` wrote with this version";
             Error::input(&path, format!("not a run record: {e}"), fix)
         })
     }
+}
+
+impl RunRecord {
+    /// The record with options off that its text does not name, because the run was made by an earlier version.
+    fn without_later_options(mut self, text: &str) -> Self {
+        if serde_json::from_str(text).is_ok_and(|value| is_earlier(&value)) {
+            self.config.clearance = 0.0;
+        }
+        self
+    }
+}
+
+/// True if the record of a run names no `clearance`: runs of earlier versions had none.
+#[must_use]
+pub fn is_earlier(record: &serde_json::Value) -> bool {
+    let config = record.get("config").and_then(serde_json::Value::as_object);
+    let unnamed = config.is_some_and(|config| !config.contains_key("clearance"));
+    unnamed && record.get("version").is_some()
 }
 
 /// Settings that records of earlier versions name and this one does not know any more. They say how a run was made, and nothing of what

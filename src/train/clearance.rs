@@ -49,7 +49,10 @@ pub(super) fn clearance(
             let median = f64::from(*median) * dataset.frame.scale;
             Why::Free(config.clearance, median)
         }
-        (None, None) => Why::Criterion("the dataset has no points"),
+        (None, None) if dataset.points.positions.is_empty() => {
+            Why::Criterion("the dataset has no points")
+        }
+        (None, None) => Why::Criterion("the cameras stand at points"),
         (None, Some(_)) => Why::Checkpoint,
     };
     Ok(Decided::new(value, why))
