@@ -148,17 +148,23 @@ impl Evidence {
     }
 }
 
-/// Opacity logits for the strategy: whatever stands in the free space about a camera counts as transparent, and goes by its rules.
+/// Opacity logits for the strategy: what stands in the free space about a camera counts as transparent, and goes by its rules. Whatever is
+/// larger than the scene's extent does not stand there alone, and stays.
 fn logits<'a>(before: &'a Snapshot, clearance: &Clearance) -> Cow<'a, [f32]> {
     let logits = before.plane(Plane::OPACITY);
     if clearance.is_empty() {
         return Cow::Borrowed(logits);
     }
-    let [x, y, z] = std::array::from_fn(|k| before.plane(Plane::POSITION + k));
-    let rows = x.par_iter().zip(y).zip(z).zip(logits);
-    let seen = rows.map(|(((x, y), z), logit)| match clearance.holds([*x, *y, *z]) {
-        true => f32::NEG_INFINITY,
-        false => *logit,
+    let planes = |first| std::array::from_fn(|k| before.plane(first + k));
+    let (position, log_scale): ([&[f32]; 3], [&[f32]; 3]) =
+        (planes(Plane::POSITION), planes(Plane::LOG_SCALE));
+    let rows = logits.par_iter().enumerate();
+    let seen = rows.map(|(i, logit)| {
+        let small = log_scale.iter().all(|plane| plane[i] < 0.0);
+        match small && clearance.holds(position.map(|plane| plane[i])) {
+            true => f32::NEG_INFINITY,
+            false => *logit,
+        }
     });
     Cow::Owned(seen.collect())
 }
