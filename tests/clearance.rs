@@ -144,7 +144,7 @@ fn records_of_earlier_versions_had_none() {
         assert!(output.status.success());
         RunRecord::read(out).unwrap().config.clearance
     };
-    assert_eq!(train(&first, &[]), 0.5);
+    assert_eq!(train(&first, &[]), 0.3);
     let file = format!("{first}/run.json");
     let text = fs::read_to_string(&file).unwrap();
     let mut record: serde_json::Value = serde_json::from_str(&text).unwrap();

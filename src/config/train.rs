@@ -175,7 +175,7 @@ impl Default for TrainConfig {
             max_size: 1600,
             image_budget: None,
             max_gaussians: None,
-            clearance: 0.5,
+            clearance: 0.3,
             sh_degree: 3,
             seed: 0,
             eval_every: None,
