@@ -123,7 +123,7 @@ fn a_run_that_began_without_goes_on_without() {
     assert!(kept(&radii).is_err());
 }
 
-/// What a run of an earlier version, which names no clearance, was made without stays off.
+/// Records and configurations of earlier versions name no clearance and keep none.
 #[test]
 fn records_of_earlier_versions_had_none() {
     let dir = tempfile::tempdir().unwrap();
