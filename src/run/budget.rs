@@ -268,6 +268,9 @@ mod tests {
     /// Seconds per pixel of a view's pictures.
     const PICTURES: f64 = 1e-7;
 
+    /// Gaussians of all runs, those that a forecast begins with.
+    const GAUSSIANS: f64 = 30_000.0;
+
     fn forecast(seconds: f64) -> Forecast {
         // 50 views are shown and 8 of 0.3 megapixels scored at the end.
         Forecast::of(
@@ -286,7 +289,7 @@ mod tests {
         let mut budget = Budget::new(seconds, false, most);
         let mut forecast = forecast(seconds);
         let (mut used, mut all, mut length, mut done, mut changes) = (0.5, 0.8, most, 0, 0);
-        forecast.iterated(done, length, used, 1.0);
+        forecast.iterated(done, length, used, GAUSSIANS);
         while done < length {
             let one = cost(f64::from(done) / f64::from(length), done);
             (used, all) = (used + one, all + one);
@@ -297,7 +300,7 @@ mod tests {
                 forecast.evaluated(3.0 * one);
                 all += 3.0 * one;
             }
-            forecast.iterated(done, length, used, 1.0);
+            forecast.iterated(done, length, used, GAUSSIANS);
             if let Some(next) = budget.length(done, length, &forecast, all) {
                 let n = next.iterations;
                 assert!(n > done && n <= most, "{n} of {most} after {done}");
@@ -315,7 +318,7 @@ mod tests {
         forecast.shortest = shortest;
         let (mut used, mut length, mut longest) = (0.5, 30_000, 0);
         for done in 0..150 {
-            forecast.iterated(done, length, used, 1.0);
+            forecast.iterated(done, length, used, GAUSSIANS);
             used += CPU_TICK * [0.0, 0.0, 0.0, 0.0, 0.0, 6.0, 1.0][done as usize % 7];
             if let Some(next) = budget.length(done, length, &forecast, used) {
                 length = next.iterations;
@@ -410,8 +413,8 @@ mod tests {
         };
         let mut budget = Budget::of(&config, sizes.to_vec()).unwrap();
         let mut forecast = forecast(seconds).at_size(sizes[sizes.len() - 1]);
-        forecast.iterated(0, 1000, 0.0, 1.0);
-        forecast.iterated(20, 1000, 0.4, 1.0);
+        forecast.iterated(0, 1000, 0.0, GAUSSIANS);
+        forecast.iterated(20, 1000, 0.4, GAUSSIANS);
         let length = budget.length(20, 1000, &forecast, 0.4).unwrap();
         let told = budget.told(&length);
         let smaller = length.size != sizes[0];
@@ -452,10 +455,10 @@ mod tests {
     fn a_run_that_goes_on_forgets_what_its_start_took() {
         let mut budget = Budget::new(60.0, false, 30_000);
         let mut forecast = forecast(60.0);
-        forecast.iterated(300, 1000, 30.0, 1.0);
+        forecast.iterated(300, 1000, 30.0, GAUSSIANS);
         let next = (301..400).find_map(|at| {
             let used = 30.0 + 0.04 * f64::from(at - 300);
-            forecast.iterated(at, 1000, used, 1.0);
+            forecast.iterated(at, 1000, used, GAUSSIANS);
             budget.length(at, 1000, &forecast, used)
         });
         assert!((500..1300).contains(&next.unwrap().iterations), "{next:?}");
@@ -493,7 +496,7 @@ mod tests {
         let mut forecast = forecast(60.0);
         let mut seconds = 0.0;
         for done in [0, 20, 19, 18, 19, 20, 21, 40] {
-            forecast.iterated(done, 1000, seconds, 1.0);
+            forecast.iterated(done, 1000, seconds, GAUSSIANS);
             seconds += 1.0;
         }
         let left = forecast.left(40, 1000).unwrap();
@@ -510,7 +513,7 @@ mod tests {
                 if disturbed && done == 31 {
                     forecast.disturbed();
                 }
-                forecast.iterated(done, 1000, 1e-3 * f64::from(done) + extra, 1.0);
+                forecast.iterated(done, 1000, 1e-3 * f64::from(done) + extra, GAUSSIANS);
             }
             forecast.left(40, 1000).unwrap()
         };
@@ -522,22 +525,24 @@ mod tests {
         );
     }
 
-    /// Costs grow with the photos and the Gaussians, more slowly than in proportion.
+    /// Costs grow with the photos and the Gaussians, more slowly than in proportion, and with many Gaussians nearly so.
     #[test]
     fn larger_photos_and_more_gaussians_are_expected_to_cost_more() {
-        let unit = |gaussians: f64, halvings: &[f64]| {
+        let told = |first: f64, then: f64, halvings: &[f64]| {
             let sizes = Sizes::at_shares(halvings);
             let mut forecast = Forecast::of(sizes, 0, (0, 0), EVERY, 20.0, PICTURES);
-            forecast.iterated(0, 1000, 0.0, gaussians);
-            forecast.iterated(20, 1000, 0.2, gaussians);
-            forecast.grown(20, 1000, 0);
+            forecast.iterated(0, 1000, 0.0, first);
+            forecast.iterated(20, 1000, 0.2, first);
+            forecast.grown(20, then as u64, 0);
             forecast.left(20, 1000).unwrap() - forecast.end().unwrap()
         };
-        let same = unit(1000.0, &[]);
+        let same = told(1000.0, 1000.0, &[]);
         assert!((9.5..10.5).contains(&same), "{same}");
-        let fewer = unit(250.0, &[]) / same;
-        assert!((fewer - 2.0).abs() < 0.01, "{fewer}");
-        let halved = unit(1000.0, &[0.021]) / same;
+        let twice = told(1000.0, 2000.0, &[]) / same;
+        assert!((1.05..1.5).contains(&twice), "{twice}");
+        let of_many = told(1e6, 2e6, &[]) / told(1e6, 1e6, &[]);
+        assert!((1.7..2.0).contains(&of_many), "{of_many}");
+        let halved = told(1000.0, 1000.0, &[0.021]) / same;
         assert!((1.2..4.0).contains(&halved), "{halved}");
     }
 
@@ -547,8 +552,8 @@ mod tests {
         let end = |pictures: f64| {
             let sizes = Sizes::default();
             let mut forecast = Forecast::of(sizes, 0, (8, 2_400_000), EVERY, 20.0, pictures);
-            forecast.iterated(0, 1000, 0.0, 1.0);
-            forecast.iterated(20, 1000, 0.2, 1.0);
+            forecast.iterated(0, 1000, 0.0, GAUSSIANS);
+            forecast.iterated(20, 1000, 0.2, GAUSSIANS);
             forecast.end().unwrap()
         };
         assert!(end(1e-12) < end(measured) && end(measured) < end(1e-3));
@@ -567,7 +572,7 @@ mod tests {
                 |s: f64| 1.2 - 0.4 * s,
                 |s: f64| 0.7 + 1.2 * s * (1.0 - s),
             ] {
-                let size = |s: f64| if s < 0.1 { 0.4 } else { 1.0 };
+                let size = |s: f64| if s < 0.1 { 0.55 } else { 1.0 };
                 let times: Vec<f64> = (0..3000)
                     .map(|i| f64::from(i) / 3000.0)
                     .map(|s| unit * size(s) * cost(s))
@@ -583,7 +588,7 @@ mod tests {
                 );
                 let mut used = 0.0;
                 for (done, time) in times.iter().enumerate() {
-                    forecast.iterated(done as u32, 3000, used, 1.0);
+                    forecast.iterated(done as u32, 3000, used, GAUSSIANS);
                     let left = forecast.left(done as u32, 3000);
                     if (400..2700).contains(&done) {
                         let (told, end) = (left.unwrap(), forecast.end().unwrap());

@@ -5,7 +5,7 @@ use std::time::Instant;
 
 use crate::base::error::Result;
 use crate::chart::text::{about, grouped};
-use crate::config::{Init, Preset, TrainConfig, TrainingSize};
+use crate::config::{Preset, TrainConfig, TrainingSize};
 use crate::density::Expected;
 use crate::evaluate::Evaluator;
 use crate::run::footprint::Footprint;
@@ -22,21 +22,16 @@ const FIRST: u32 = 20;
 /// The cost of an iteration is measured so many times in a run, evenly spread.
 const MEASUREMENTS: u32 = 50;
 
-/// Cost of an iteration: (pixels + [`BESIDE_PIXELS`])^[`PIXEL_POWER`] · √Gaussians. Fitted at eight runs of seven datasets of 240 to 640 px; the time
-/// of the later iterations told from that of a few differs by 7 % (root mean square) if the number of Gaussians is known
-/// (docs/results/budgets.md).
-const BESIDE_PIXELS: f64 = 20_000.0;
-const PIXEL_POWER: f64 = 0.7;
+/// Cost of an iteration: p^[`PIXEL_POWER`] · g^[`GAUSSIAN_POWER`] for the tile intersections of p times 100,000 pixels and g times 10,000 Gaussians,
+/// [`PER_GAUSSIAN`] · g for what goes over all Gaussians, and [`PER_LAUNCH`]. Fitted at seventeen runs of eleven datasets, photos of 27 to 1600 px
+/// and 5000 to 57,000 Gaussians, from which its residuals are 7 % (root mean square; docs/results/budgets.md).
+const PIXEL_POWER: f64 = 0.77;
+const GAUSSIAN_POWER: f64 = 0.28;
+const PER_GAUSSIAN: f64 = 0.18;
+const PER_LAUNCH: f64 = 0.115;
 
-/// Share of a run in which its first Gaussians are about all that there are, and cost of an iteration of later ones over that of these: sparse
-/// points are faint and far apart, random ones large. Of eleven runs 1.4 to 1.9 and 0.5 to 0.7 (docs/results/budgets.md).
-const BEGINNING: f64 = 1.0 / 12.0;
-const AFTER_POINTS: f64 = 1.6;
-const AFTER_RANDOM: f64 = 0.62;
-
-/// The same for points found in the photos: with [`AFTER_POINTS`] forty budgets ended with 1.15 times the iterations of their first plan
-/// (docs/results/first-gaussians.md).
-const AFTER_FOUND: f64 = 1.4;
+/// Gaussians of a run where their number is not known, or must not count.
+const TYPICAL: f64 = 30_000.0;
 
 /// Mean cost of an iteration at full size over that of the last one: Gaussians die towards the end.
 const MEAN_COST: f64 = 1.05;
@@ -67,14 +62,10 @@ const PROBE: usize = 192;
 /// Iterations done at density steps to come, and the number of Gaussians expected after each; `None` if nothing is expected of them.
 type Steps = Option<Vec<(u32, f64)>>;
 
-/// True in the [`BEGINNING`] of a run of a length.
-fn begins(done: u32, length: u32) -> bool {
-    f64::from(done) < BEGINNING * f64::from(length)
-}
-
-/// Cost of an iteration of one Gaussian and so many pixels.
-fn pixel_cost(pixels: f64) -> f64 {
-    (pixels + BESIDE_PIXELS).powf(PIXEL_POWER)
+/// Cost of an iteration of so many pixels and Gaussians.
+fn cost(pixels: f64, gaussians: f64) -> f64 {
+    let (p, g) = (pixels / 1e5, gaussians.max(1.0) / 1e4);
+    p.powf(PIXEL_POWER) * g.powf(GAUSSIAN_POWER) + PER_GAUSSIAN * g + PER_LAUNCH
 }
 
 /// A number of Gaussians in words: two digits.
@@ -162,10 +153,6 @@ impl Made {
 pub(super) struct Forecast {
     /// Numbers of Gaussians to come; `None` if they stay as many.
     growth: Option<Growth>,
-    /// Cost of later iterations over that of those in the [`BEGINNING`].
-    later: f64,
-    /// True in the [`BEGINNING`], which no other length brings back.
-    begins: bool,
     /// Iterations done at the last density step, or where the run began or went on, and the set since then.
     since: (u32, Expected),
     /// Density steps to come of a run of a length; `None` if they are to be foreseen anew.
@@ -200,8 +187,6 @@ pub(super) struct Forecast {
     unit: Option<f64>,
     /// Iterations, seconds and Gaussians where the present measurement began.
     mark: Option<(u32, f64, f64)>,
-    /// True if what has been measured is of the [`BEGINNING`], which is over.
-    stale: bool,
     /// Number of measurements.
     measured: u32,
     evaluations: Spent,
@@ -245,13 +230,6 @@ impl Forecast {
         );
         Self {
             growth: Some(growth),
-            later: match config.init {
-                _ if plan.random_start => AFTER_RANDOM,
-                Init::Points if plan.swept.is_some() => AFTER_FOUND,
-                Init::Points => AFTER_POINTS,
-                _ => 1.0,
-            },
-            begins: begins(done, config.iterations_at(done.saturating_sub(1))),
             since: (
                 done,
                 Expected {
@@ -297,12 +275,10 @@ impl Forecast {
     ) -> Self {
         Self {
             growth: None,
-            later: 1.0,
-            begins: true,
             since: (
                 0,
                 Expected {
-                    gaussians: 1.0,
+                    gaussians: TYPICAL,
                     born: 0.0,
                 },
             ),
@@ -323,7 +299,6 @@ impl Forecast {
             every,
             unit: None,
             mark: None,
-            stale: false,
             measured: 0,
             evaluations: Spent::default(),
             exports: Spent::default(),
@@ -345,33 +320,27 @@ impl Forecast {
         let reached = self.reached;
         let halvings = |at: u32| self.sizes.halvings(at, length).min(reached);
         self.reached = halvings(done);
-        let over = self.begins && !begins(done, length);
-        if over {
-            (self.begins, self.stale) = (false, true);
-        }
-        if over || halvings(before) != self.reached {
+        if halvings(before) != self.reached {
             self.mark = mark;
             return;
         }
         // Where an iteration takes seconds there is no time for so many.
         let late = self.unit.is_none() && seconds - then >= self.latest;
-        let enough = match self.unit.is_none() || self.stale {
-            true => FIRST,
-            false => (length / MEASUREMENTS).max(1),
+        let enough = match self.unit {
+            None => FIRST,
+            Some(_) => (length / MEASUREMENTS).max(1),
         };
         // An overflow of tile intersections takes training back by an iteration or two.
         if done <= before || seconds - then < self.shortest || (done - before < enough && !late) {
             return;
         }
         let each = self.cost(self.reached, 0.5 * (fewer + gaussians));
-        let later = if self.begins { self.later } else { 1.0 };
-        let unit = later * (seconds - then).max(1e-9) / (f64::from(done - before) * each);
+        let unit = (seconds - then).max(1e-9) / (f64::from(done - before) * each);
         // The geometric mean with the one before: a window is short, and other programs run beside it.
         self.unit = Some(match self.unit {
-            Some(old) if !self.stale => (old * unit).sqrt(),
-            _ => unit,
+            Some(old) => (old * unit).sqrt(),
+            None => unit,
         });
-        self.stale = false;
         self.measured += 1;
         self.mark = mark;
     }
@@ -535,8 +504,8 @@ impl Forecast {
             }
             Made::AsLengthAllows => {
                 // Without the number of Gaussians, which a run that goes on does not know from its start.
-                let run = self.work([0, length], length, u32::MAX, (1.0, &[]));
-                let one = SCORED / MEAN_COST * self.cost_at_end(1.0) * self.scored.0 as f64;
+                let run = self.work([0, length], length, u32::MAX, (TYPICAL, &[]));
+                let one = SCORED / MEAN_COST * self.cost_at_end(TYPICAL) * self.scored.0 as f64;
                 let due = (length / 20).max(1);
                 let fit = EVALUATIONS * run / one.max(1e-9);
                 let apart = (f64::from(length / due - 1) / fit).ceil().max(1.0);
@@ -547,17 +516,13 @@ impl Forecast {
 
     /// Cost of an iteration of photos that are halved so many times, of so many Gaussians.
     fn cost(&self, halvings: u32, gaussians: f64) -> f64 {
-        self.size_cost(halvings) * gaussians.max(1.0).sqrt()
+        let pixels = self.pixels * self.size.area() * 0.25f64.powi(halvings as i32);
+        cost(pixels, gaussians)
     }
 
     /// The same with photos of the size asked for, at which views are shown and scored.
     fn cost_at_end(&self, gaussians: f64) -> f64 {
-        pixel_cost(self.pixels) * gaussians.max(1.0).sqrt()
-    }
-
-    /// Cost of an iteration of one Gaussian.
-    fn size_cost(&self, halvings: u32) -> f64 {
-        pixel_cost(self.pixels * self.size.area() * 0.25f64.powi(halvings as i32))
+        cost(self.pixels, gaussians)
     }
 
     /// Cost of the iterations between two of a run of `length` with no more halvings than `most`, of `n` Gaussians until the first of the
@@ -574,13 +539,11 @@ impl Forecast {
         edges.extend(ends.iter().chain(steps.iter().map(|(at, _)| at)));
         edges.retain(|e| (from..=to).contains(e));
         edges.sort_unstable();
-        let sizes = 0..=ends.len() as u32;
-        let costs: Vec<f64> = sizes.map(|k| self.size_cost(k.min(most))).collect();
         let piece = |pair: &[u32]| {
-            let halvings = ends.iter().filter(|end| pair[0] < **end).count();
+            let halvings = ends.iter().filter(|end| pair[0] < **end).count() as u32;
             let past = steps.partition_point(|(at, _)| *at <= pair[0]);
             let n = past.checked_sub(1).map_or(n, |last| steps[last].1);
-            f64::from(pair[1] - pair[0]) * costs[halvings] * n.max(1.0).sqrt()
+            f64::from(pair[1] - pair[0]) * self.cost(halvings.min(most), n)
         };
         edges.windows(2).map(piece).sum()
     }
