@@ -1,4 +1,4 @@
-//! Free space about the training cameras.
+//! Free space about the training cameras, and from one to the next.
 //!
 //! A training view punishes what stands right before its camera only within its own picture. Beside, behind and between the cameras a
 //! Gaussian may stay that serves views from afar, and a camera that is put there, a held-out one or a viewer's, sees nothing else. Nobody
@@ -7,13 +7,20 @@
 use rayon::prelude::*;
 use rustc_hash::FxHashMap;
 
+use crate::scene::knn::nearest;
+
 /// One in so many points may be nearer to a camera than the distance that counts: some are wrong.
 const NEAREST: usize = 1000;
 
 /// Points that are looked at, evenly spread over the file.
 const MAX_POINTS: usize = 100_000;
 
-/// Balls about cameras.
+/// The space between a camera and so many neighbours is free, too, where they are no further apart than so many of the smaller of their
+/// radii: whoever took the photos went there, and held-out cameras stand there.
+const NEIGHBOURS: usize = 4;
+const APART: f64 = 3.0;
+
+/// Balls about cameras and in the passages between them.
 #[derive(Debug, Clone)]
 pub struct Clearance {
     /// Centres and squared radii, those of radius 0 left out.
@@ -47,13 +54,42 @@ pub fn radii(centers: &[[f32; 3]], points: &[[f32; 3]], share: f64) -> Vec<f32> 
     centers.par_iter().map(radius).collect()
 }
 
+/// Centres and radii of balls along the segments between neighbouring centres, no further apart than half of the smaller of the two radii.
+fn passages(centers: &[[f32; 3]], radii: &[f32]) -> Vec<([f32; 3], f32)> {
+    let ends = (0_u32..).zip(nearest::<NEIGHBOURS>(centers));
+    let mut pairs: Vec<[u32; 2]> = ends
+        .flat_map(|(i, near)| near.map(|n| [i.min(n.point), i.max(n.point)]))
+        .filter(|[_, b]| (*b as usize) < centers.len())
+        .collect();
+    pairs.sort_unstable();
+    pairs.dedup();
+    let balls = |[a, b]: [u32; 2]| {
+        let [a, b] = [a, b].map(|i| i as usize);
+        let radius = |i: usize| radii.get(i).copied().unwrap_or(0.0);
+        let along = |k: usize| f64::from(centers[a][k]) - f64::from(centers[b][k]);
+        let distance = along(0).hypot(along(1)).hypot(along(2));
+        let least = f64::from(radius(a).min(radius(b)));
+        let parts = match distance <= APART * least {
+            true => 2 * (distance / least).ceil() as u32,
+            false => 0,
+        };
+        (1..parts).map(move |k| {
+            let at = k as f32 / parts as f32;
+            let mix = |from: f32, to: f32| from + at * (to - from);
+            let center = [0, 1, 2].map(|k| mix(centers[a][k], centers[b][k]));
+            (center, mix(radius(a), radius(b)))
+        })
+    };
+    pairs.into_iter().flat_map(balls).collect()
+}
+
 /// Square of the distance of two points.
 fn square(a: [f32; 3], b: [f32; 3]) -> f32 {
     (0..3).map(|k| (a[k] - b[k]) * (a[k] - b[k])).sum()
 }
 
 impl Clearance {
-    /// Balls of some radii about some centres, both of one length; where a radius is missing there is no ball.
+    /// Balls of some radii about some centres, both of one length, and in the passages between them; where a radius is missing there is no ball.
     #[must_use]
     pub fn new(centers: &[[f32; 3]], radii: &[f32]) -> Self {
         let mut sorted: Vec<f32> = radii.iter().copied().filter(|r| *r > 0.0).collect();
@@ -65,10 +101,12 @@ impl Clearance {
             edge: median.max(largest / 4.0),
             cells: FxHashMap::default(),
         };
-        for (center, radius) in centers.iter().zip(radii).filter(|(_, r)| **r > 0.0) {
+        let about = centers.iter().copied().zip(radii.iter().copied());
+        let balls = about.chain(passages(centers, radii));
+        for (center, radius) in balls.filter(|(_, radius)| *radius > 0.0) {
             let ball = clearance.balls.len() as u32;
-            clearance.balls.push((*center, radius * radius));
-            let radius = f64::from(*radius);
+            clearance.balls.push((center, radius * radius));
+            let radius = f64::from(radius);
             let corner = |sign: f64| center.map(|c| f64::from(c) + sign * radius);
             let [from, to] = [-1.0, 1.0].map(|sign| clearance.cell(corner(sign)));
             for x in from[0]..=to[0] {
@@ -107,7 +145,7 @@ impl Clearance {
 
 #[cfg(test)]
 mod tests {
-    use super::{Clearance, radii, square};
+    use super::{Clearance, passages, radii, square};
     use crate::base::rng::Philox;
 
     fn cloud(n: u64, stream: u64, size: f64) -> Vec<[f32; 3]> {
@@ -123,10 +161,11 @@ mod tests {
         let (centers, positions) = (cloud(60, 1, 1.0), cloud(20_000, 2, 1.5));
         let radii: Vec<f32> = (0..60).map(|i| 0.01 * (i % 30) as f32).collect();
         let clearance = Clearance::new(&centers, &radii);
-        let all = |p: [f32; 3]| {
-            let mut balls = centers.iter().zip(&radii);
-            balls.any(|(c, r)| square(p, *c) < r * r)
-        };
+        let about = centers.iter().copied().zip(radii.iter().copied());
+        let between = passages(&centers, &radii);
+        assert!(between.len() > 20, "{}", between.len());
+        let balls: Vec<_> = about.chain(between).collect();
+        let all = |p: [f32; 3]| balls.iter().any(|(c, r)| square(p, *c) < r * r);
         let held = positions.iter().filter(|p| clearance.holds(**p)).count();
         assert!(held > 100 && held < 19_000, "{held}");
         assert!(positions.iter().any(|p| clearance.holds(*p) && p[0] < -0.5));
@@ -147,7 +186,7 @@ mod tests {
             let clearance = Clearance::new(&far, &radii);
             assert!(!clearance.holds([f32::NAN; 3]));
             let cells: usize = clearance.cells.values().map(Vec::len).sum();
-            assert!(cells <= 3 * 9 * 9 * 9, "{radii:?}: {cells}");
+            assert!(cells <= (3 + 3 * 5) * 9 * 9 * 9, "{radii:?}: {cells}");
         }
     }
 
@@ -158,6 +197,41 @@ mod tests {
             let clearance = Clearance::new(&centers, &radii);
             assert!(clearance.is_empty() && !clearance.holds(centers[0]));
         }
+    }
+
+    /// Whoever took the photos walked from one to the next, and not through what they show.
+    #[test]
+    fn passages_lead_to_neighbours_and_not_across() {
+        let held = |centers: &[[f32; 3]], radii: &[f32], at: [f32; 3]| {
+            Clearance::new(centers, radii).holds(at)
+        };
+        let two = |apart: f32| [[0.0, 0.0, 0.0], [apart, 0.0, 0.0]];
+        let middle = |apart: f32, off: f32| [0.5 * apart, off, 0.0];
+        for (apart, off, radii, free) in [
+            (1.1, 0.38, [0.4, 0.4], true),
+            (1.1, 0.41, [0.4, 0.4], false),
+            // Further apart than three of the smaller radii.
+            (1.3, 0.0, [0.4, 0.4], false),
+            (1.1, 0.0, [0.4, 0.3], false),
+            (0.8, 0.33, [0.4, 0.3], true),
+            (1.1, 0.0, [0.4, 0.0], false),
+        ] {
+            let found = held(&two(apart), &radii, middle(apart, off));
+            assert_eq!(found, free, "{apart} {off} {radii:?}");
+        }
+        // Cameras in a circle about an object: the circle is free, its middle is not.
+        let on = |k: f32| [5.0 * k.cos(), 5.0 * k.sin(), 0.0];
+        let circle: Vec<[f32; 3]> = (0..16)
+            .map(|k| on(k as f32 * std::f32::consts::TAU / 16.0))
+            .collect();
+        let radii = [1.0; 16];
+        assert!(held(
+            &circle,
+            &radii,
+            on(0.5 * std::f32::consts::TAU / 16.0)
+        ));
+        assert!(!held(&circle, &radii, [0.0; 3]));
+        assert!(!held(&circle, &radii, on(0.3).map(|v| 0.7 * v)));
     }
 
     #[test]

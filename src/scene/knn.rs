@@ -13,6 +13,30 @@ const PARALLEL: usize = 1 << 14;
 /// finite and fewer than 2³².
 #[must_use]
 pub fn mean_squared_distances<const K: usize>(positions: &[[f32; 3]]) -> Vec<f64> {
+    let mean = |nearest: [Neighbour; K]| {
+        let found = nearest.iter().filter(|n| n.square.is_finite());
+        let (sum, count) = found.fold((0.0, 0.0), |(s, n), d| (s + d.square, n + 1.0));
+        sum / count
+    };
+    nearest(positions).into_par_iter().map(mean).collect()
+}
+
+/// Another point; at an infinite distance where there is none.
+#[derive(Debug, Clone, Copy)]
+pub struct Neighbour {
+    /// Index of the point.
+    pub point: u32,
+    /// Squared distance to it.
+    pub square: f64,
+}
+
+/// The `K` nearest others of each point, the nearest first; see [`mean_squared_distances`].
+#[must_use]
+pub fn nearest<const K: usize>(positions: &[[f32; 3]]) -> Vec<[Neighbour; K]> {
+    const NONE: Neighbour = Neighbour {
+        point: u32::MAX,
+        square: f64::INFINITY,
+    };
     let mut points: Vec<(u32, [f32; 3])> = (0..).zip(positions.iter().copied()).collect();
     let root = build(&mut points, 0);
     let tree = Tree {
@@ -24,11 +48,9 @@ pub fn mean_squared_distances<const K: usize>(positions: &[[f32; 3]]) -> Vec<f64
         .collect::<Vec<_>>()
         .into_par_iter()
         .map(|(i, p)| {
-            let mut nearest = [f64::INFINITY; K];
+            let mut nearest = [NONE; K];
             tree.search(&tree.root, i, p, &mut nearest);
-            let found = nearest.iter().filter(|d| d.is_finite());
-            let (sum, count) = found.fold((0.0, 0.0), |(s, n), d| (s + d, n + 1.0));
-            sum / count
+            nearest
         })
         .collect()
 }
@@ -90,13 +112,20 @@ fn widest_axis(part: &[(u32, [f32; 3])]) -> usize {
 }
 
 impl Tree<'_> {
-    /// Updates `nearest` (ascending squared distances to `p`) with the points below `node`, point `own` left out.
-    fn search<const K: usize>(&self, node: &Node, own: u32, p: &[f32; 3], nearest: &mut [f64; K]) {
+    /// Updates `nearest` (those of `p`, ascending) with the points below `node`, point `own` left out.
+    fn search<const K: usize>(
+        &self,
+        node: &Node,
+        own: u32,
+        p: &[f32; 3],
+        nearest: &mut [Neighbour; K],
+    ) {
         match node {
             Node::Leaf { start, end } => {
                 for (i, q) in &self.points[*start..*end] {
                     if *i != own {
-                        insert(nearest, squared_distance(p, q));
+                        let square = squared_distance(p, q);
+                        insert(nearest, Neighbour { point: *i, square });
                     }
                 }
             }
@@ -113,7 +142,8 @@ impl Tree<'_> {
                     (high, low)
                 };
                 self.search(near, own, p, nearest);
-                if nearest.last().is_some_and(|worst| beyond * beyond < *worst) {
+                let worst = nearest.last().map_or(0.0, |worst| worst.square);
+                if beyond * beyond < worst {
                     self.search(far, own, p, nearest);
                 }
             }
@@ -126,11 +156,12 @@ fn squared_distance(p: &[f32; 3], q: &[f32; 3]) -> f64 {
     along(0) * along(0) + along(1) * along(1) + along(2) * along(2)
 }
 
-/// Keeps the `K` smallest values, ascending.
-fn insert<const K: usize>(nearest: &mut [f64; K], d: f64) {
-    let place = nearest.iter().take_while(|&&v| v <= d).count();
+/// Keeps the `K` nearest, ascending.
+fn insert<const K: usize>(nearest: &mut [Neighbour; K], new: Neighbour) {
+    let nearer = nearest.iter().take_while(|n| n.square <= new.square);
+    let place = nearer.count();
     if place < K {
         nearest[place..].rotate_right(1);
-        nearest[place] = d;
+        nearest[place] = new;
     }
 }
