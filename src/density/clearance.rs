@@ -5,7 +5,7 @@
 //! photographs from within an object, and the nearest sparse points tell how far the nearest object is.
 
 use rayon::prelude::*;
-use rustc_hash::FxHashMap;
+use rustc_hash::{FxHashMap, FxHashSet};
 
 use crate::scene::knn::nearest;
 
@@ -15,10 +15,10 @@ const NEAREST: usize = 1000;
 /// Points that are looked at, evenly spread over the file.
 const MAX_POINTS: usize = 100_000;
 
-/// The space between a camera and so many neighbours is free, too, where they are no further apart than so many of the smaller of their
-/// radii: whoever took the photos went there, and held-out cameras stand there.
+/// The space between a camera and so many neighbours is free, too, where they are no further apart than this part of the distance of the nearest
+/// points: whoever took the photos went there, held-out cameras stand there, and what is as far from both as their points is not on the way.
 const NEIGHBOURS: usize = 4;
-const APART: f64 = 3.0;
+const APART: f64 = 0.9;
 
 /// Balls about cameras and in the passages between them.
 #[derive(Debug, Clone)]
@@ -54,33 +54,48 @@ pub fn radii(centers: &[[f32; 3]], points: &[[f32; 3]], share: f64) -> Vec<f32> 
     centers.par_iter().map(radius).collect()
 }
 
-/// Centres and radii of balls along the segments between neighbouring centres, no further apart than half of the smaller of the two radii.
-fn passages(centers: &[[f32; 3]], radii: &[f32]) -> Vec<([f32; 3], f32)> {
-    let ends = (0_u32..).zip(nearest::<NEIGHBOURS>(centers));
+/// Centres and radii of balls along the segments between neighbouring centres, no further apart than half of the smaller of the two radii. Of the
+/// centres in a cube of half the median radius, such as those of the views of one panorama, one counts.
+fn passages(centers: &[[f32; 3]], radii: &[f32], share: f64) -> Vec<([f32; 3], f32)> {
+    let about = centers.iter().copied().zip(radii.iter().copied());
+    let about =
+        about.filter(|(center, radius)| *radius > 0.0 && center.iter().all(|v| v.is_finite()));
+    let (edge, mut seen) = (0.5 * f64::from(median(radii)), FxHashSet::default());
+    let apart: Vec<([f32; 3], f32)> = about
+        .filter(|(center, _)| seen.insert(center.map(|v| (f64::from(v) / edge).floor() as i64)))
+        .collect();
+    let centers: Vec<[f32; 3]> = apart.iter().map(|(center, _)| *center).collect();
+    let ends = (0_u32..).zip(nearest::<NEIGHBOURS>(&centers));
     let mut pairs: Vec<[u32; 2]> = ends
         .flat_map(|(i, near)| near.map(|n| [i.min(n.point), i.max(n.point)]))
         .filter(|[_, b]| (*b as usize) < centers.len())
         .collect();
     pairs.sort_unstable();
     pairs.dedup();
-    let balls = |[a, b]: [u32; 2]| {
-        let [a, b] = [a, b].map(|i| i as usize);
-        let radius = |i: usize| radii.get(i).copied().unwrap_or(0.0);
-        let along = |k: usize| f64::from(centers[a][k]) - f64::from(centers[b][k]);
+    let balls = |ends: [u32; 2]| {
+        let [(a, radius_a), (b, radius_b)] = ends.map(|i| apart[i as usize]);
+        let along = |k: usize| f64::from(a[k]) - f64::from(b[k]);
         let distance = along(0).hypot(along(1)).hypot(along(2));
-        let least = f64::from(radius(a).min(radius(b)));
-        let parts = match distance <= APART * least {
+        let least = f64::from(radius_a.min(radius_b));
+        // Nearer ones have a waist that is as wide.
+        let parts = match distance > 0.5 * least && distance * share <= APART * least {
             true => 2 * (distance / least).ceil() as u32,
             false => 0,
         };
         (1..parts).map(move |k| {
             let at = k as f32 / parts as f32;
             let mix = |from: f32, to: f32| from + at * (to - from);
-            let center = [0, 1, 2].map(|k| mix(centers[a][k], centers[b][k]));
-            (center, mix(radius(a), radius(b)))
+            ([0, 1, 2].map(|k| mix(a[k], b[k])), mix(radius_a, radius_b))
         })
     };
     pairs.into_iter().flat_map(balls).collect()
+}
+
+/// Median of the radii that are positive; 1 without one.
+fn median(radii: &[f32]) -> f32 {
+    let mut sorted: Vec<f32> = radii.iter().copied().filter(|r| *r > 0.0).collect();
+    sorted.sort_by(f32::total_cmp);
+    sorted.get(sorted.len() / 2).copied().unwrap_or(1.0)
 }
 
 /// Square of the distance of two points.
@@ -89,20 +104,19 @@ fn square(a: [f32; 3], b: [f32; 3]) -> f32 {
 }
 
 impl Clearance {
-    /// Balls of some radii about some centres, both of one length, and in the passages between them; where a radius is missing there is no ball.
+    /// Balls of some radii, this `share` of the distance of the nearest points, about some centres, and in the passages between these; where a radius is
+    /// missing there is no ball.
     #[must_use]
-    pub fn new(centers: &[[f32; 3]], radii: &[f32]) -> Self {
-        let mut sorted: Vec<f32> = radii.iter().copied().filter(|r| *r > 0.0).collect();
-        sorted.sort_by(f32::total_cmp);
-        let median = sorted.get(sorted.len() / 2).copied().unwrap_or(1.0);
-        let largest = sorted.last().copied().unwrap_or(1.0);
+    pub fn new(centers: &[[f32; 3]], radii: &[f32], share: f64) -> Self {
+        let median = median(radii);
+        let largest = radii.iter().copied().fold(median, f32::max);
         let mut clearance = Self {
             balls: Vec::new(),
             edge: median.max(largest / 4.0),
             cells: FxHashMap::default(),
         };
         let about = centers.iter().copied().zip(radii.iter().copied());
-        let balls = about.chain(passages(centers, radii));
+        let balls = about.chain(passages(centers, radii, share));
         for (center, radius) in balls.filter(|(_, radius)| *radius > 0.0) {
             let ball = clearance.balls.len() as u32;
             clearance.balls.push((center, radius * radius));
@@ -160,9 +174,9 @@ mod tests {
     fn cells_find_what_a_search_of_all_balls_finds() {
         let (centers, positions) = (cloud(60, 1, 1.0), cloud(20_000, 2, 1.5));
         let radii: Vec<f32> = (0..60).map(|i| 0.01 * (i % 30) as f32).collect();
-        let clearance = Clearance::new(&centers, &radii);
+        let clearance = Clearance::new(&centers, &radii, 0.3);
         let about = centers.iter().copied().zip(radii.iter().copied());
-        let between = passages(&centers, &radii);
+        let between = passages(&centers, &radii, 0.3);
         assert!(between.len() > 20, "{}", between.len());
         let balls: Vec<_> = about.chain(between).collect();
         let all = |p: [f32; 3]| balls.iter().any(|(c, r)| square(p, *c) < r * r);
@@ -176,17 +190,19 @@ mod tests {
 
     #[test]
     fn balls_of_any_size_are_looked_up_at_once() {
-        let far = [[1e30, -1e30, 0.0], [0.0; 3], [-3e38, 0.0, 0.0]];
+        let beyond = [f32::NAN, f32::INFINITY, 0.0];
+        let far = [[1e30, -1e30, 0.0], [0.0; 3], [-3e38, 0.0, 0.0], beyond];
         for radii in [
-            [1e-30, 1e30, 0.1],
-            [f32::MAX; 3],
-            [f32::INFINITY, 0.1, 0.1],
-            [f32::NAN, -1.0, 0.1],
+            [1e-30, 1e30, 0.1, 0.1],
+            [f32::MAX; 4],
+            [1e-45; 4],
+            [f32::INFINITY, 0.1, 0.1, 0.1],
+            [f32::NAN, -1.0, 0.1, 0.1],
         ] {
-            let clearance = Clearance::new(&far, &radii);
+            let clearance = Clearance::new(&far, &radii, 0.3);
             assert!(!clearance.holds([f32::NAN; 3]));
             let cells: usize = clearance.cells.values().map(Vec::len).sum();
-            assert!(cells <= (3 + 3 * 5) * 9 * 9 * 9, "{radii:?}: {cells}");
+            assert!(cells <= (4 + 3 * 5) * 9 * 9 * 9, "{radii:?}: {cells}");
         }
     }
 
@@ -194,7 +210,7 @@ mod tests {
     fn no_radius_holds_nothing() {
         let centers = cloud(3, 1, 1.0);
         for radii in [Vec::new(), vec![0.0; 3]] {
-            let clearance = Clearance::new(&centers, &radii);
+            let clearance = Clearance::new(&centers, &radii, 0.3);
             assert!(clearance.is_empty() && !clearance.holds(centers[0]));
         }
     }
@@ -202,36 +218,33 @@ mod tests {
     /// Whoever took the photos walked from one to the next, and not through what they show.
     #[test]
     fn passages_lead_to_neighbours_and_not_across() {
-        let held = |centers: &[[f32; 3]], radii: &[f32], at: [f32; 3]| {
-            Clearance::new(centers, radii).holds(at)
+        let held = |centers: &[[f32; 3]], radii: &[f32], share: f64, at: [f32; 3]| {
+            Clearance::new(centers, radii, share).holds(at)
         };
         let two = |apart: f32| [[0.0, 0.0, 0.0], [apart, 0.0, 0.0]];
         let middle = |apart: f32, off: f32| [0.5 * apart, off, 0.0];
-        for (apart, off, radii, free) in [
-            (1.1, 0.38, [0.4, 0.4], true),
-            (1.1, 0.41, [0.4, 0.4], false),
-            // Further apart than three of the smaller radii.
-            (1.3, 0.0, [0.4, 0.4], false),
-            (1.1, 0.0, [0.4, 0.3], false),
-            (0.8, 0.33, [0.4, 0.3], true),
-            (1.1, 0.0, [0.4, 0.0], false),
+        for (apart, off, radii, share, free) in [
+            (1.1, 0.38, [0.4, 0.4], 0.3, true),
+            (1.1, 0.41, [0.4, 0.4], 0.3, false),
+            // Further apart than 0.9 of the distance of the nearest points, of which the radii are a share.
+            (1.3, 0.0, [0.4, 0.4], 0.3, false),
+            (1.1, 0.0, [0.4, 0.4], 0.4, false),
+            (1.1, 0.0, [0.4, 0.3], 0.3, false),
+            (0.8, 0.33, [0.4, 0.3], 0.3, true),
+            (1.1, 0.0, [0.4, 0.0], 0.3, false),
         ] {
-            let found = held(&two(apart), &radii, middle(apart, off));
+            let found = held(&two(apart), &radii, share, middle(apart, off));
             assert_eq!(found, free, "{apart} {off} {radii:?}");
         }
-        // Cameras in a circle about an object: the circle is free, its middle is not.
-        let on = |k: f32| [5.0 * k.cos(), 5.0 * k.sin(), 0.0];
-        let circle: Vec<[f32; 3]> = (0..16)
-            .map(|k| on(k as f32 * std::f32::consts::TAU / 16.0))
-            .collect();
-        let radii = [1.0; 16];
-        assert!(held(
-            &circle,
-            &radii,
-            on(0.5 * std::f32::consts::TAU / 16.0)
-        ));
-        assert!(!held(&circle, &radii, [0.0; 3]));
-        assert!(!held(&circle, &radii, on(0.3).map(|v| 0.7 * v)));
+        // All views of a panorama stand at one place, and there is a way from one panorama to the next.
+        let panoramas: Vec<[f32; 3]> = two(1.1).into_iter().flat_map(|c| [c; 6]).collect();
+        assert!(held(&panoramas, &[0.4; 12], 0.3, middle(1.1, 0.38)));
+        // Cameras in a circle about an object: the circle is free, its middle is not, however far points are.
+        let turn = std::f32::consts::TAU / 16.0;
+        let on = |k: f32| [5.0 * (k * turn).cos(), 5.0 * (k * turn).sin(), 0.0];
+        let circle: Vec<[f32; 3]> = (0..16).map(|k| on(k as f32)).collect();
+        assert!(held(&circle, &[0.8; 16], 0.3, on(0.5)));
+        assert!(!held(&circle, &[3.4; 16], 0.3, [0.0; 3]));
     }
 
     #[test]

@@ -256,7 +256,7 @@ impl Budget {
 mod tests {
     use super::{Budget, CPU_TICK, LATEST, SHORTEST};
     use crate::config::{TrainConfig, TrainingSize};
-    use crate::run::forecast::{Every, Forecast, Made, picture_cost};
+    use crate::run::forecast::{Every, Forecast, Made, TYPICAL, picture_cost};
     use crate::train::sizes::Sizes;
 
     const EVERY: Every = Every {
@@ -269,18 +269,12 @@ mod tests {
     const PICTURES: f64 = 1e-7;
 
     /// Gaussians of all runs, those that a forecast begins with.
-    const GAUSSIANS: f64 = 30_000.0;
+    const GAUSSIANS: f64 = TYPICAL;
 
     fn forecast(seconds: f64) -> Forecast {
         // 50 views are shown and 8 of 0.3 megapixels scored at the end.
-        Forecast::of(
-            Sizes::at_shares(&[0.05, 0.1]),
-            50,
-            (8, 2_400_000),
-            EVERY,
-            LATEST * seconds,
-            PICTURES,
-        )
+        let (sizes, latest) = (Sizes::at_shares(&[0.05, 0.1]), LATEST * seconds);
+        Forecast::of(sizes, 50, (8, 2_400_000), EVERY, latest, PICTURES)
     }
 
     /// Seconds of a run in which an iteration takes `cost` of its share of the run and its number, the last length, and how often
@@ -467,26 +461,32 @@ mod tests {
     /// Without a budget: as many evaluations as cost a twentieth of the run, evenly spread, the same whatever the clock says.
     #[test]
     fn evaluations_without_a_budget_keep_their_share() {
-        let every = Every {
-            made: Made::AsLengthAllows,
-            ..EVERY
-        };
+        let made = Made::AsLengthAllows;
+        let every = Every { made, ..EVERY };
         let made = |length: u32, views: usize| -> Vec<u32> {
-            let forecast = Forecast::of(Sizes::default(), 0, (views, 0), every, 20.0, PICTURES);
-            let due = (1..20).map(|k| k * (length / 20));
-            due.filter(|at| forecast.affords_evaluation(*at, length, 1e9))
-                .collect()
+            let sizes = Sizes::at_shares(&[0.01]);
+            let mut forecast = Forecast::of(sizes, 0, (views, 0), every, 20.0, PICTURES);
+            let due = |of: &Forecast| -> Vec<u32> {
+                let due = (1..20).map(|k| k * (length / 20));
+                due.filter(|at| of.affords_evaluation(*at, length, 1e9))
+                    .collect()
+            };
+            let first = due(&forecast);
+            for done in [0, 100] {
+                forecast.iterated(done, length, 0.5 * f64::from(done), 1e6);
+            }
+            forecast.grown(100, 1_000_000, 500_000);
+            forecast.evaluated(100.0);
+            assert_eq!(due(&forecast), first, "nothing that is measured counts");
+            first
         };
         assert_eq!(made(7000, 10).len(), 19, "all are cheap");
         assert_eq!(made(1500, 0).len(), 19, "nothing is held out");
         // 40 views are scored at about the cost of 15 iterations.
         assert_eq!(made(1500, 40), [300, 600, 900, 1200]);
         assert_eq!(made(1500, 4000), [] as [u32; 0]);
-        let all = Every {
-            made: Made::All,
-            ..EVERY
-        };
-        let asked = Forecast::of(Sizes::default(), 0, (4000, 0), all, 20.0, PICTURES);
+        let (made, sizes) = (Made::All, Sizes::default());
+        let asked = Forecast::of(sizes, 0, (4000, 0), Every { made, ..EVERY }, 20.0, PICTURES);
         assert!(asked.affords_evaluation(75, 1500, 0.0));
     }
 
@@ -550,8 +550,8 @@ mod tests {
     fn the_end_is_told_from_what_pictures_take_here() {
         let measured = picture_cost().unwrap();
         let end = |pictures: f64| {
-            let sizes = Sizes::default();
-            let mut forecast = Forecast::of(sizes, 0, (8, 2_400_000), EVERY, 20.0, pictures);
+            let (sizes, views) = (Sizes::default(), (8, 2_400_000));
+            let mut forecast = Forecast::of(sizes, 0, views, EVERY, 20.0, pictures);
             forecast.iterated(0, 1000, 0.0, GAUSSIANS);
             forecast.iterated(20, 1000, 0.2, GAUSSIANS);
             forecast.end().unwrap()
@@ -572,25 +572,19 @@ mod tests {
                 |s: f64| 1.2 - 0.4 * s,
                 |s: f64| 0.7 + 1.2 * s * (1.0 - s),
             ] {
-                let size = |s: f64| if s < 0.1 { 0.55 } else { 1.0 };
+                let size = |s: f64| if s < 0.1 { 0.4 } else { 1.0 };
                 let times: Vec<f64> = (0..3000)
                     .map(|i| f64::from(i) / 3000.0)
                     .map(|s| unit * size(s) * cost(s))
                     .collect();
                 let whole: f64 = times.iter().sum();
-                let mut forecast = Forecast::of(
-                    Sizes::at_shares(&[0.05, 0.1]),
-                    0,
-                    (0, 0),
-                    EVERY,
-                    20.0,
-                    PICTURES,
-                );
+                let sizes = Sizes::at_shares(&[0.05, 0.1]);
+                let mut forecast = Forecast::of(sizes, 0, (0, 0), EVERY, 20.0, PICTURES);
                 let mut used = 0.0;
                 for (done, time) in times.iter().enumerate() {
                     forecast.iterated(done as u32, 3000, used, GAUSSIANS);
                     let left = forecast.left(done as u32, 3000);
-                    if (400..2700).contains(&done) {
+                    if (430..2700).contains(&done) {
                         let (told, end) = (left.unwrap(), forecast.end().unwrap());
                         let off = (told - end) / (whole - used) - 1.0;
                         assert!(off.abs() < 0.3, "{done}: {off}");

@@ -24,14 +24,14 @@ const MEASUREMENTS: u32 = 50;
 
 /// Cost of an iteration: p^[`PIXEL_POWER`] · g^[`GAUSSIAN_POWER`] for the tile intersections of p times 100,000 pixels and g times 10,000 Gaussians,
 /// [`PER_GAUSSIAN`] · g for what goes over all Gaussians, and [`PER_LAUNCH`]. Fitted at seventeen runs of eleven datasets, photos of 27 to 1600 px
-/// and 5000 to 57,000 Gaussians, from which its residuals are 7 % (root mean square; docs/results/budgets.md).
+/// and 5000 to 57,000 Gaussians, with residuals of 7 % (root mean square; docs/results/budgets.md).
 const PIXEL_POWER: f64 = 0.77;
 const GAUSSIAN_POWER: f64 = 0.28;
 const PER_GAUSSIAN: f64 = 0.18;
 const PER_LAUNCH: f64 = 0.115;
 
 /// Gaussians of a run where their number is not known, or must not count.
-const TYPICAL: f64 = 30_000.0;
+pub(super) const TYPICAL: f64 = 30_000.0;
 
 /// Mean cost of an iteration at full size over that of the last one: Gaussians die towards the end.
 const MEAN_COST: f64 = 1.05;
@@ -187,8 +187,9 @@ pub(super) struct Forecast {
     unit: Option<f64>,
     /// Iterations, seconds and Gaussians where the present measurement began.
     mark: Option<(u32, f64, f64)>,
-    /// Number of measurements.
+    /// Number of measurements, and of those with photos of the present size.
     measured: u32,
+    here: u32,
     evaluations: Spent,
     exports: Spent,
     checkpoints: Spent,
@@ -300,6 +301,7 @@ impl Forecast {
             unit: None,
             mark: None,
             measured: 0,
+            here: 0,
             evaluations: Spent::default(),
             exports: Spent::default(),
             checkpoints: Spent::default(),
@@ -321,7 +323,7 @@ impl Forecast {
         let halvings = |at: u32| self.sizes.halvings(at, length).min(reached);
         self.reached = halvings(done);
         if halvings(before) != self.reached {
-            self.mark = mark;
+            (self.mark, self.here) = (mark, 0);
             return;
         }
         // Where an iteration takes seconds there is no time for so many.
@@ -336,10 +338,12 @@ impl Forecast {
         }
         let each = self.cost(self.reached, 0.5 * (fewer + gaussians));
         let unit = (seconds - then).max(1e-9) / (f64::from(done - before) * each);
-        // The geometric mean with the one before: a window is short, and other programs run beside it.
+        self.here += 1;
+        // The geometric mean with the one before: a window is short, and other programs run beside it. Once photos have another size, their
+        // second window counts alone: in the first one Gaussians are still as large as the smaller photos left them.
         self.unit = Some(match self.unit {
-            Some(old) => (old * unit).sqrt(),
-            None => unit,
+            Some(old) if self.here != 2 => (old * unit).sqrt(),
+            _ => unit,
         });
         self.measured += 1;
         self.mark = mark;

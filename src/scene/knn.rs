@@ -18,7 +18,7 @@ pub fn mean_squared_distances<const K: usize>(positions: &[[f32; 3]]) -> Vec<f64
         let (sum, count) = found.fold((0.0, 0.0), |(s, n), d| (s + d.square, n + 1.0));
         sum / count
     };
-    nearest(positions).into_par_iter().map(mean).collect()
+    each(positions, mean)
 }
 
 /// Another point; at an infinite distance where there is none.
@@ -30,9 +30,18 @@ pub struct Neighbour {
     pub square: f64,
 }
 
-/// The `K` nearest others of each point, the nearest first; see [`mean_squared_distances`].
+/// The `K` nearest others of each point, the nearest first; at an infinite distance where there are fewer. Positions as for [`mean_squared_distances`];
+/// one that is not finite is no neighbour.
 #[must_use]
 pub fn nearest<const K: usize>(positions: &[[f32; 3]]) -> Vec<[Neighbour; K]> {
+    each(positions, |nearest| nearest)
+}
+
+/// A function of the [`nearest`] others of each point.
+fn each<const K: usize, T: Send>(
+    positions: &[[f32; 3]],
+    of: impl Fn([Neighbour; K]) -> T + Sync,
+) -> Vec<T> {
     const NONE: Neighbour = Neighbour {
         point: u32::MAX,
         square: f64::INFINITY,
@@ -50,7 +59,7 @@ pub fn nearest<const K: usize>(positions: &[[f32; 3]]) -> Vec<[Neighbour; K]> {
         .map(|(i, p)| {
             let mut nearest = [NONE; K];
             tree.search(&tree.root, i, p, &mut nearest);
-            nearest
+            of(nearest)
         })
         .collect()
 }
@@ -156,11 +165,11 @@ fn squared_distance(p: &[f32; 3], q: &[f32; 3]) -> f64 {
     along(0) * along(0) + along(1) * along(1) + along(2) * along(2)
 }
 
-/// Keeps the `K` nearest, ascending.
+/// Keeps the `K` nearest, ascending; nothing at a distance that is not finite.
 fn insert<const K: usize>(nearest: &mut [Neighbour; K], new: Neighbour) {
     let nearer = nearest.iter().take_while(|n| n.square <= new.square);
     let place = nearer.count();
-    if place < K {
+    if place < K && new.square.is_finite() {
         nearest[place..].rotate_right(1);
         nearest[place] = new;
     }

@@ -28,6 +28,8 @@ pub(super) struct Evidence {
     pub(super) cameras: Vec<[f32; 3]>,
     /// Radii of the free space about them ([`Plan::clearance`](crate::train::Plan::clearance)).
     pub(super) clearance: Vec<f32>,
+    /// These over the distances of the nearest points.
+    pub(super) share: f64,
     /// Parameters and statistics.
     pub(super) snapshot: PendingSnapshot,
     /// Kind of the statistics.
@@ -111,7 +113,7 @@ impl Evidence {
             pictures: &pictures,
             ..self.context
         };
-        let clearance = Clearance::new(&self.cameras, &self.clearance);
+        let clearance = Clearance::new(&self.cameras, &self.clearance, self.share);
         let logits = logits(&before, &clearance);
         let scene = SceneState {
             positions: std::array::from_fn(|k| before.plane(Plane::POSITION + k)),
