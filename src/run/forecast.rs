@@ -190,6 +190,8 @@ pub(super) struct Forecast {
     /// Number of measurements, and of those with photos of the present size.
     measured: u32,
     here: u32,
+    /// The last [`Forecast::unit`] of photos of another size; `None` before.
+    elsewhere: Option<f64>,
     evaluations: Spent,
     exports: Spent,
     checkpoints: Spent,
@@ -302,6 +304,7 @@ impl Forecast {
             mark: None,
             measured: 0,
             here: 0,
+            elsewhere: None,
             evaluations: Spent::default(),
             exports: Spent::default(),
             checkpoints: Spent::default(),
@@ -323,7 +326,7 @@ impl Forecast {
         let halvings = |at: u32| self.sizes.halvings(at, length).min(reached);
         self.reached = halvings(done);
         if halvings(before) != self.reached {
-            (self.mark, self.here) = (mark, 0);
+            (self.mark, self.here, self.elsewhere) = (mark, 0, self.unit);
             return;
         }
         // Where an iteration takes seconds there is no time for so many.
@@ -339,12 +342,13 @@ impl Forecast {
         let each = self.cost(self.reached, 0.5 * (fewer + gaussians));
         let unit = (seconds - then).max(1e-9) / (f64::from(done - before) * each);
         self.here += 1;
-        // The geometric mean with the one before: a window is short, and other programs run beside it. Once photos have another size, their
-        // second window counts alone: in the first one Gaussians are still as large as the smaller photos left them.
-        self.unit = Some(match self.unit {
-            Some(old) if self.here != 2 => (old * unit).sqrt(),
-            _ => unit,
-        });
+        // The geometric mean with the one before: a window is short, and other programs run beside it. That of another size counts once: it is
+        // less sure, and in the first window Gaussians are still as large as smaller photos left them.
+        let old = match (self.unit, self.elsewhere) {
+            (Some(mean), Some(other)) if self.here == 2 => Some(mean * mean / other),
+            (unit, _) => unit,
+        };
+        self.unit = Some(old.map_or(unit, |old| (old * unit).sqrt()));
         self.measured += 1;
         self.mark = mark;
     }

@@ -150,7 +150,7 @@ impl Evidence {
     }
 }
 
-/// Opacity logits for the strategy: what stands in the free space about a camera counts as transparent, and goes by its rules. Whatever is
+/// Opacity logits for the strategy: what stands in the free space about cameras and between them counts as transparent, and goes by its rules. Whatever is
 /// larger than the scene's extent does not stand there alone, and stays.
 fn logits<'a>(before: &'a Snapshot, clearance: &Clearance) -> Cow<'a, [f32]> {
     let logits = before.plane(Plane::OPACITY);
