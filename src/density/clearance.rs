@@ -5,7 +5,7 @@
 //! photographs from within an object, and the nearest sparse points tell how far the nearest object is.
 
 use rayon::prelude::*;
-use rustc_hash::{FxHashMap, FxHashSet};
+use rustc_hash::FxHashMap;
 
 use crate::scene::knn::nearest;
 
@@ -16,9 +16,12 @@ const NEAREST: usize = 1000;
 const MAX_POINTS: usize = 100_000;
 
 /// The space between a camera and so many neighbours is free, too, where they are no further apart than this part of the distance of the nearest
-/// points: whoever took the photos went there, held-out cameras stand there, and what is as far from both as their points is not on the way.
+/// points: whoever took the photos went there, and held-out cameras stand there.
 const NEIGHBOURS: usize = 4;
 const APART: f64 = 0.9;
+
+/// Largest distance of neighbours over the smaller radius: so many balls and no more lie between them, however small a share is asked for.
+const LONGEST: f64 = 16.0;
 
 /// Balls about cameras and in the passages between them.
 #[derive(Debug, Clone)]
@@ -54,17 +57,13 @@ pub fn radii(centers: &[[f32; 3]], points: &[[f32; 3]], share: f64) -> Vec<f32> 
     centers.par_iter().map(radius).collect()
 }
 
-/// Centres and radii of balls along the segments between neighbouring centres, no further apart than half of the smaller of the two radii. Of the
-/// centres in a cube of half the median radius, such as those of the views of one panorama, one counts.
-fn passages(centers: &[[f32; 3]], radii: &[f32], share: f64) -> Vec<([f32; 3], f32)> {
-    let about = centers.iter().copied().zip(radii.iter().copied());
-    let about =
-        about.filter(|(center, radius)| *radius > 0.0 && center.iter().all(|v| v.is_finite()));
-    let (edge, mut seen) = (0.5 * f64::from(median(radii)), FxHashSet::default());
-    let apart: Vec<([f32; 3], f32)> = about
-        .filter(|(center, _)| seen.insert(center.map(|v| (f64::from(v) / edge).floor() as i64)))
-        .collect();
-    let centers: Vec<[f32; 3]> = apart.iter().map(|(center, _)| *center).collect();
+/// A centre and a radius.
+type Ball = ([f32; 3], f32);
+
+/// Balls along the segments between neighbouring centres, no further apart than half of the smaller of the two radii.
+fn passages(centers: &[[f32; 3]], radii: &[f32], share: f64) -> Vec<Ball> {
+    let places = places(centers, radii);
+    let centers: Vec<[f32; 3]> = places.iter().map(|(center, _)| *center).collect();
     let ends = (0_u32..).zip(nearest::<NEIGHBOURS>(&centers));
     let mut pairs: Vec<[u32; 2]> = ends
         .flat_map(|(i, near)| near.map(|n| [i.min(n.point), i.max(n.point)]))
@@ -72,13 +71,12 @@ fn passages(centers: &[[f32; 3]], radii: &[f32], share: f64) -> Vec<([f32; 3], f
         .collect();
     pairs.sort_unstable();
     pairs.dedup();
+    // A point as far from both ends as their nearest ones is outside of all balls between them, by a margin.
+    let longest = APART.min(1.9 * (1.0 - share * share).max(0.0).sqrt()) / share.max(1e-9);
     let balls = |ends: [u32; 2]| {
-        let [(a, radius_a), (b, radius_b)] = ends.map(|i| apart[i as usize]);
-        let along = |k: usize| f64::from(a[k]) - f64::from(b[k]);
-        let distance = along(0).hypot(along(1)).hypot(along(2));
-        let least = f64::from(radius_a.min(radius_b));
-        // Nearer ones have a waist that is as wide.
-        let parts = match distance > 0.5 * least && distance * share <= APART * least {
+        let [(a, radius_a), (b, radius_b)] = ends.map(|i| places[i as usize]);
+        let (distance, least) = (distance(a, b), f64::from(radius_a.min(radius_b)));
+        let parts = match distance <= longest.min(LONGEST) * least {
             true => 2 * (distance / least).ceil() as u32,
             false => 0,
         };
@@ -89,6 +87,38 @@ fn passages(centers: &[[f32; 3]], radii: &[f32], share: f64) -> Vec<([f32; 3], f
         })
     };
     pairs.into_iter().flat_map(balls).collect()
+}
+
+/// Centres with a radius, but for those nearer to one before than half of the smaller of the two radii, as most views of a panorama or a rig: balls so near have
+/// no waist.
+fn places(centers: &[[f32; 3]], radii: &[f32]) -> Vec<Ball> {
+    let edge = 0.5 * f64::from(median(radii));
+    let mut places: Vec<Ball> = Vec::new();
+    let mut cells: FxHashMap<[i64; 3], Vec<u32>> = FxHashMap::default();
+    for (center, radius) in centers.iter().copied().zip(radii.iter().copied()) {
+        if !(radius > 0.0 && center.iter().all(|v| v.is_finite())) {
+            continue;
+        }
+        let cell = center.map(|v| (f64::from(v) / edge).floor() as i64);
+        let beside =
+            |k: i64| [0, 1, 2].map(|d| cell[d].saturating_add(k / 3_i64.pow(d as u32) % 3 - 1));
+        let taken = |of: &u32| {
+            let (other, other_radius) = places[*of as usize];
+            distance(center, other) < 0.5 * f64::from(radius.min(other_radius))
+        };
+        let mut near = (0..27).filter_map(|k| cells.get(&beside(k))).flatten();
+        if !near.any(taken) {
+            cells.entry(cell).or_default().push(places.len() as u32);
+            places.push((center, radius));
+        }
+    }
+    places
+}
+
+/// Distance of two points.
+fn distance(a: [f32; 3], b: [f32; 3]) -> f64 {
+    let along = |k: usize| f64::from(a[k]) - f64::from(b[k]);
+    along(0).hypot(along(1)).hypot(along(2))
 }
 
 /// Median of the radii that are positive; 1 without one.
@@ -206,6 +236,24 @@ mod tests {
         }
     }
 
+    /// A camera's nearest points may be many radii away, or hardly one.
+    #[test]
+    fn any_share_has_few_balls_and_spares_the_points() {
+        let ends = [[0.0, 0.0, 0.0], [0.33, 0.0, 0.0]];
+        for share in [0.0, 1e-12, 1e-6, 1e-3, 0.3, 0.9, 0.999, 1.0, f64::NAN] {
+            let radius = (0.4 * share) as f32;
+            let between = passages(&ends, &[radius; 2], share);
+            assert!(between.len() <= 31, "{share}: {}", between.len());
+            // A point at the distance of the nearest ones from both ends.
+            let point = [0.165, (0.16_f32 - 0.165 * 0.165).sqrt(), 0.0];
+            let held =
+                |(center, radius): &([f32; 3], f32)| square(*center, point) < radius * radius;
+            assert!(!between.iter().any(held), "{share}");
+            let some = share == 0.3 || share == 0.9;
+            assert_eq!(!between.is_empty(), some, "{share}: {}", between.len());
+        }
+    }
+
     #[test]
     fn no_radius_holds_nothing() {
         let centers = cloud(3, 1, 1.0);
@@ -239,6 +287,19 @@ mod tests {
         // All views of a panorama stand at one place, and there is a way from one panorama to the next.
         let panoramas: Vec<[f32; 3]> = two(1.1).into_iter().flat_map(|c| [c; 6]).collect();
         assert!(held(&panoramas, &[0.4; 12], 0.3, middle(1.1, 0.38)));
+        // The eight cameras of a rig stand at the corners of a cube.
+        let corner =
+            |c: [f32; 3], k: usize| [0, 1, 2].map(|d| c[d] + 0.05 * ((k >> d & 1) as f32 - 0.5));
+        let rigs = two(1.1).into_iter();
+        let rigs: Vec<[f32; 3]> = rigs
+            .flat_map(|c| (0..8).map(move |k| corner(c, k)))
+            .collect();
+        assert!(held(&rigs, &[0.4; 16], 0.3, middle(1.1, 0.3)));
+        // Close ones keep theirs beside far ones.
+        let mut mixed = vec![[100.0, 0.0, 0.0]; 5];
+        mixed.extend(two(0.15));
+        let radii = [1.0, 1.0, 1.0, 1.0, 1.0, 0.1, 0.1];
+        assert!(held(&mixed, &radii, 0.3, middle(0.15, 0.08)));
         // Cameras in a circle about an object: the circle is free, its middle is not, however far points are.
         let turn = std::f32::consts::TAU / 16.0;
         let on = |k: f32| [5.0 * (k * turn).cos(), 5.0 * (k * turn).sin(), 0.0];

@@ -8,6 +8,7 @@ use crate::chart::text::{about, grouped};
 use crate::config::{Preset, TrainConfig, TrainingSize};
 use crate::density::Expected;
 use crate::evaluate::Evaluator;
+use crate::run::cost::{TYPICAL, cost};
 use crate::run::footprint::Footprint;
 use crate::run::report::gallery::{GALLERY_VIEWS, data_uri, error_map};
 use crate::run::report::training::{SHOWN, VIEWS};
@@ -21,17 +22,6 @@ const FIRST: u32 = 20;
 
 /// The cost of an iteration is measured so many times in a run, evenly spread.
 const MEASUREMENTS: u32 = 50;
-
-/// Cost of an iteration: p^[`PIXEL_POWER`] · g^[`GAUSSIAN_POWER`] for the tile intersections of p times 100,000 pixels and g times 10,000 Gaussians,
-/// [`PER_GAUSSIAN`] · g for what goes over all Gaussians, and [`PER_LAUNCH`]. Fitted at seventeen runs of eleven datasets, photos of 27 to 1600 px
-/// and 5000 to 57,000 Gaussians, with residuals of 7 % (root mean square; docs/results/budgets.md).
-const PIXEL_POWER: f64 = 0.77;
-const GAUSSIAN_POWER: f64 = 0.28;
-const PER_GAUSSIAN: f64 = 0.18;
-const PER_LAUNCH: f64 = 0.115;
-
-/// Gaussians of a run where their number is not known, or must not count.
-pub(super) const TYPICAL: f64 = 30_000.0;
 
 /// Mean cost of an iteration at full size over that of the last one: Gaussians die towards the end.
 const MEAN_COST: f64 = 1.05;
@@ -61,12 +51,6 @@ const PROBE: usize = 192;
 
 /// Iterations done at density steps to come, and the number of Gaussians expected after each; `None` if nothing is expected of them.
 type Steps = Option<Vec<(u32, f64)>>;
-
-/// Cost of an iteration of so many pixels and Gaussians.
-fn cost(pixels: f64, gaussians: f64) -> f64 {
-    let (p, g) = (pixels / 1e5, gaussians.max(1.0) / 1e4);
-    p.powf(PIXEL_POWER) * g.powf(GAUSSIAN_POWER) + PER_GAUSSIAN * g + PER_LAUNCH
-}
 
 /// A number of Gaussians in words: two digits.
 fn counted(gaussians: f64) -> String {
@@ -317,18 +301,15 @@ impl Forecast {
             self.ahead = Some((length, self.steps(length)));
         }
         let mark = Some((done, seconds, gaussians));
+        let halvings = self.sizes.halvings(done, length).min(self.reached);
+        if std::mem::replace(&mut self.reached, halvings) != halvings {
+            self.grew();
+        }
         let Some((before, then, fewer)) = self.mark else {
             // What came before, reading photos and building kernels, is no cost of iterations.
             self.mark = mark;
             return;
         };
-        let reached = self.reached;
-        let halvings = |at: u32| self.sizes.halvings(at, length).min(reached);
-        self.reached = halvings(done);
-        if halvings(before) != self.reached {
-            (self.mark, self.here, self.elsewhere) = (mark, 0, self.unit);
-            return;
-        }
         // Where an iteration takes seconds there is no time for so many.
         let late = self.unit.is_none() && seconds - then >= self.latest;
         let enough = match self.unit {
@@ -369,7 +350,7 @@ impl Forecast {
         self.ahead = None;
         let before = std::mem::replace(&mut self.size, schedule.size(done));
         if before != self.size {
-            self.disturbed();
+            self.grew();
         }
         before != self.size
     }
@@ -385,6 +366,12 @@ impl Forecast {
             size,
             ..self.clone()
         }
+    }
+
+    /// Has measurements begin anew with photos of another size.
+    fn grew(&mut self) {
+        (self.here, self.elsewhere) = (0, self.unit);
+        self.disturbed();
     }
 
     /// Has the present measurement begin anew: something else than iterations has taken time.

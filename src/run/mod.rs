@@ -18,6 +18,7 @@
 mod budget;
 pub mod checkpoint;
 pub mod clock;
+mod cost;
 pub mod density_trace;
 mod drive;
 mod error_model;

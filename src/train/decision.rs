@@ -28,7 +28,7 @@ pub(super) struct Evidence {
     pub(super) cameras: Vec<[f32; 3]>,
     /// Radii of the free space about them ([`Plan::clearance`](crate::train::Plan::clearance)).
     pub(super) clearance: Vec<f32>,
-    /// These over the distances of the nearest points.
+    /// Share of the distance of the nearest points that these are.
     pub(super) share: f64,
     /// Parameters and statistics.
     pub(super) snapshot: PendingSnapshot,
