@@ -51,7 +51,7 @@ fn crowded(data: &Dataset, plan: &Plan, radii: &[f32]) -> Gaussians {
 
 /// Number of Gaussians in balls of these radii about the training cameras.
 fn within(data: &Dataset, radii: &[f32], splats: &Gaussians) -> usize {
-    let clearance = Clearance::new(&centers(data), radii, 0.5);
+    let clearance = Clearance::new(&centers(data), radii);
     let held = |i: &usize| clearance.holds(splats.gather(Plane::POSITION, *i));
     (0..splats.len()).filter(held).count()
 }

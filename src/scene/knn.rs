@@ -13,39 +13,6 @@ const PARALLEL: usize = 1 << 14;
 /// finite and fewer than 2³².
 #[must_use]
 pub fn mean_squared_distances<const K: usize>(positions: &[[f32; 3]]) -> Vec<f64> {
-    let mean = |nearest: [Neighbour; K]| {
-        let found = nearest.iter().filter(|n| n.square.is_finite());
-        let (sum, count) = found.fold((0.0, 0.0), |(s, n), d| (s + d.square, n + 1.0));
-        sum / count
-    };
-    each(positions, mean)
-}
-
-/// Another point; at an infinite distance where there is none.
-#[derive(Debug, Clone, Copy)]
-pub struct Neighbour {
-    /// Index of the point.
-    pub point: u32,
-    /// Squared distance to it.
-    pub square: f64,
-}
-
-/// The `K` nearest others of each point, the nearest first; at an infinite distance where there are fewer. Positions as for [`mean_squared_distances`];
-/// one that is not finite is no neighbour.
-#[must_use]
-pub fn nearest<const K: usize>(positions: &[[f32; 3]]) -> Vec<[Neighbour; K]> {
-    each(positions, |nearest| nearest)
-}
-
-/// A function of the [`nearest`] others of each point.
-fn each<const K: usize, T: Send>(
-    positions: &[[f32; 3]],
-    of: impl Fn([Neighbour; K]) -> T + Sync,
-) -> Vec<T> {
-    const NONE: Neighbour = Neighbour {
-        point: u32::MAX,
-        square: f64::INFINITY,
-    };
     let mut points: Vec<(u32, [f32; 3])> = (0..).zip(positions.iter().copied()).collect();
     let root = build(&mut points, 0);
     let tree = Tree {
@@ -57,9 +24,11 @@ fn each<const K: usize, T: Send>(
         .collect::<Vec<_>>()
         .into_par_iter()
         .map(|(i, p)| {
-            let mut nearest = [NONE; K];
+            let mut nearest = [f64::INFINITY; K];
             tree.search(&tree.root, i, p, &mut nearest);
-            of(nearest)
+            let found = nearest.iter().filter(|d| d.is_finite());
+            let (sum, count) = found.fold((0.0, 0.0), |(s, n), d| (s + d, n + 1.0));
+            sum / count
         })
         .collect()
 }
@@ -121,20 +90,13 @@ fn widest_axis(part: &[(u32, [f32; 3])]) -> usize {
 }
 
 impl Tree<'_> {
-    /// Updates `nearest` (those of `p`, ascending) with the points below `node`, point `own` left out.
-    fn search<const K: usize>(
-        &self,
-        node: &Node,
-        own: u32,
-        p: &[f32; 3],
-        nearest: &mut [Neighbour; K],
-    ) {
+    /// Updates `nearest` (ascending squared distances to `p`) with the points below `node`, point `own` left out.
+    fn search<const K: usize>(&self, node: &Node, own: u32, p: &[f32; 3], nearest: &mut [f64; K]) {
         match node {
             Node::Leaf { start, end } => {
                 for (i, q) in &self.points[*start..*end] {
                     if *i != own {
-                        let square = squared_distance(p, q);
-                        insert(nearest, Neighbour { point: *i, square });
+                        insert(nearest, squared_distance(p, q));
                     }
                 }
             }
@@ -151,8 +113,7 @@ impl Tree<'_> {
                     (high, low)
                 };
                 self.search(near, own, p, nearest);
-                let worst = nearest.last().map_or(0.0, |worst| worst.square);
-                if beyond * beyond < worst {
+                if nearest.last().is_some_and(|worst| beyond * beyond < *worst) {
                     self.search(far, own, p, nearest);
                 }
             }
@@ -165,12 +126,11 @@ fn squared_distance(p: &[f32; 3], q: &[f32; 3]) -> f64 {
     along(0) * along(0) + along(1) * along(1) + along(2) * along(2)
 }
 
-/// Keeps the `K` nearest, ascending; nothing at a distance that is not finite.
-fn insert<const K: usize>(nearest: &mut [Neighbour; K], new: Neighbour) {
-    let nearer = nearest.iter().take_while(|n| n.square <= new.square);
-    let place = nearer.count();
-    if place < K && new.square.is_finite() {
+/// Keeps the `K` smallest values, ascending.
+fn insert<const K: usize>(nearest: &mut [f64; K], d: f64) {
+    let place = nearest.iter().take_while(|&&v| v <= d).count();
+    if place < K {
         nearest[place..].rotate_right(1);
-        nearest[place] = new;
+        nearest[place] = d;
     }
 }

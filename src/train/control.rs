@@ -351,7 +351,6 @@ impl Control {
             },
             cameras: on.views.set.cameras.iter().map(|c| c.center).collect(),
             clearance: self.plan.clearance.value.clone(),
-            share: self.plan.config.clearance,
             snapshot,
             wanted: self.strategy.wanted(on.views.len(), progress),
             pictures: self.pictures(on, iteration, progress)?,

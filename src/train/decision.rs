@@ -28,8 +28,6 @@ pub(super) struct Evidence {
     pub(super) cameras: Vec<[f32; 3]>,
     /// Radii of the free space about them ([`Plan::clearance`](crate::train::Plan::clearance)).
     pub(super) clearance: Vec<f32>,
-    /// Share of the distance of the nearest points that these are.
-    pub(super) share: f64,
     /// Parameters and statistics.
     pub(super) snapshot: PendingSnapshot,
     /// Kind of the statistics.
@@ -113,7 +111,7 @@ impl Evidence {
             pictures: &pictures,
             ..self.context
         };
-        let clearance = Clearance::new(&self.cameras, &self.clearance, self.share);
+        let clearance = Clearance::new(&self.cameras, &self.clearance);
         let logits = logits(&before, &clearance);
         let scene = SceneState {
             positions: std::array::from_fn(|k| before.plane(Plane::POSITION + k)),
@@ -150,7 +148,7 @@ impl Evidence {
     }
 }
 
-/// Opacity logits for the strategy: what stands in the free space about cameras and between them counts as transparent, and goes by its rules. Whatever is
+/// Opacity logits for the strategy: what stands in the free space about a camera counts as transparent, and goes by its rules. Whatever is
 /// larger than the scene's extent does not stand there alone, and stays.
 fn logits<'a>(before: &'a Snapshot, clearance: &Clearance) -> Cow<'a, [f32]> {
     let logits = before.plane(Plane::OPACITY);

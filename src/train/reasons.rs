@@ -245,11 +245,11 @@ fn mebibytes(bytes: u64) -> String {
 
 /// Spells the reason for free space about cameras.
 fn free(f: &mut fmt::Formatter<'_>, share: f64, radius: f64) -> fmt::Result {
-    let nearest = "of the distance of its nearest sparse points";
+    let nearest = "of the distance of the sparse points nearest to it";
     let why = "what stands there, beside the photos, would veil other views";
     write!(
         f,
-        "about each camera and on the ways to its neighbours to {share} {nearest} (median {radius:.3}): {why}"
+        "about each camera to {share} {nearest} (median {radius:.3}): {why}"
     )
 }
 
