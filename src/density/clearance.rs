@@ -13,10 +13,13 @@ const NEAREST: usize = 1000;
 /// Points that are looked at, evenly spread over the file.
 const MAX_POINTS: usize = 100_000;
 
+/// Cells along an axis that are looked at for one position; for a larger reach all balls are.
+const MOST_CELLS: i64 = 9;
+
 /// Balls about cameras.
 #[derive(Debug, Clone)]
 pub struct Clearance {
-    /// Centres and squared radii, those of radius 0 left out.
+    /// Centres and radii, those of radius 0 left out.
     balls: Vec<([f32; 3], f32)>,
     /// Edge of the cells: the median radius, or a quarter of the largest, so that no ball reaches into more than 9 × 9 × 9 of them.
     edge: f32,
@@ -67,7 +70,7 @@ impl Clearance {
         };
         for (center, radius) in centers.iter().zip(radii).filter(|(_, r)| **r > 0.0) {
             let ball = clearance.balls.len() as u32;
-            clearance.balls.push((*center, radius * radius));
+            clearance.balls.push((*center, *radius));
             let radius = f64::from(*radius);
             let corner = |sign: f64| center.map(|c| f64::from(c) + sign * radius);
             let [from, to] = [-1.0, 1.0].map(|sign| clearance.cell(corner(sign)));
@@ -88,15 +91,29 @@ impl Clearance {
         self.balls.is_empty()
     }
 
-    /// True if a position lies within a ball; false if it is not finite.
+    /// True if a sphere of radius `reach` about a position reaches into a ball; false if either is not finite.
     #[must_use]
-    pub fn holds(&self, position: [f32; 3]) -> bool {
-        let inside = |ball: &u32| {
-            let (center, radius) = self.balls[*ball as usize];
-            square(position, center) < radius
+    pub fn holds(&self, position: [f32; 3], reach: f32) -> bool {
+        if !reach.is_finite() {
+            return false;
+        }
+        let inside = |(center, radius): &([f32; 3], f32)| {
+            let within = radius + reach;
+            square(position, *center) < within * within
         };
-        let near = self.cells.get(&self.cell(position.map(f64::from)));
-        near.is_some_and(|balls| balls.iter().any(inside))
+        let corner = |sign: f64| position.map(|p| f64::from(p) + sign * f64::from(reach));
+        let [from, to] = [-1.0, 1.0].map(|sign| self.cell(corner(sign)));
+        let across = [0, 1, 2].map(|k| i64::from(to[k]) - i64::from(from[k]) + 1);
+        if across.iter().any(|n| *n > MOST_CELLS) {
+            return self.balls.iter().any(inside);
+        }
+        let [xs, ys, zs] = [0, 1, 2].map(|k| from[k]..=to[k]);
+        let cells = xs.flat_map(|x| ys.clone().map(move |y| (x, y)));
+        let mut cells = cells.flat_map(|(x, y)| zs.clone().map(move |z| [x, y, z]));
+        cells.any(|cell| {
+            let balls = self.cells.get(&cell);
+            balls.is_some_and(|balls| balls.iter().any(|b| inside(&self.balls[*b as usize])))
+        })
     }
 
     /// The cell of a position; the conversion saturates.
@@ -123,16 +140,34 @@ mod tests {
         let (centers, positions) = (cloud(60, 1, 1.0), cloud(20_000, 2, 1.5));
         let radii: Vec<f32> = (0..60).map(|i| 0.01 * (i % 30) as f32).collect();
         let clearance = Clearance::new(&centers, &radii);
-        let all = |p: [f32; 3]| {
-            let mut balls = centers.iter().zip(&radii);
-            balls.any(|(c, r)| square(p, *c) < r * r)
+        let all = |p: [f32; 3], reach: f32| {
+            let mut balls = centers.iter().zip(&radii).filter(|(_, r)| **r > 0.0);
+            balls.any(|(c, r)| square(p, *c) < (r + reach) * (r + reach))
         };
-        let held = positions.iter().filter(|p| clearance.holds(**p)).count();
+        let held = positions
+            .iter()
+            .filter(|p| clearance.holds(**p, 0.0))
+            .count();
         assert!(held > 100 && held < 19_000, "{held}");
-        assert!(positions.iter().any(|p| clearance.holds(*p) && p[0] < -0.5));
-        assert!(positions.iter().all(|p| clearance.holds(*p) == all(*p)));
-        assert!(!clearance.holds([f32::NAN, 0.0, 0.0]));
-        assert!(!clearance.holds([f32::INFINITY; 3]));
+        assert!(
+            positions
+                .iter()
+                .any(|p| clearance.holds(*p, 0.0) && p[0] < -0.5)
+        );
+        // From none over some cells to all balls.
+        for reach in [0.0, 0.01, 0.3, 0.8, 3.0] {
+            let mut same = positions.iter();
+            assert!(
+                same.all(|p| clearance.holds(*p, reach) == all(*p, reach)),
+                "{reach}"
+            );
+        }
+
+        assert!(!clearance.holds([f32::NAN, 0.0, 0.0], 0.0));
+        assert!(!clearance.holds([f32::INFINITY; 3], 0.0));
+        assert!(
+            !clearance.holds(centers[1], f32::NAN) && !clearance.holds(centers[1], f32::INFINITY)
+        );
     }
 
     #[test]
@@ -145,7 +180,7 @@ mod tests {
             [f32::NAN, -1.0, 0.1],
         ] {
             let clearance = Clearance::new(&far, &radii);
-            assert!(!clearance.holds([f32::NAN; 3]));
+            assert!(!clearance.holds([f32::NAN; 3], 0.0));
             let cells: usize = clearance.cells.values().map(Vec::len).sum();
             assert!(cells <= 3 * 9 * 9 * 9, "{radii:?}: {cells}");
         }
@@ -156,7 +191,7 @@ mod tests {
         let centers = cloud(3, 1, 1.0);
         for radii in [Vec::new(), vec![0.0; 3]] {
             let clearance = Clearance::new(&centers, &radii);
-            assert!(clearance.is_empty() && !clearance.holds(centers[0]));
+            assert!(clearance.is_empty() && !clearance.holds(centers[0], 0.0));
         }
     }
 

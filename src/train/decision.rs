@@ -148,8 +148,12 @@ impl Evidence {
     }
 }
 
-/// Opacity logits for the strategy: what stands in the free space about a camera counts as transparent, and goes by its rules. Whatever is
-/// larger than the scene's extent does not stand there alone, and stays.
+/// Standard deviations, of a Gaussian's largest, that may not reach into the free space about a camera: large ones beside it are splatted over
+/// all of a view from there (docs/results/clearance.md).
+const REACH: f32 = 0.5;
+
+/// Opacity logits for the strategy: what stands in the free space about a camera, or reaches into it, counts as transparent, and goes by its rules.
+/// Whatever is larger than the scene's extent does not stand there alone, and stays.
 fn logits<'a>(before: &'a Snapshot, clearance: &Clearance) -> Cow<'a, [f32]> {
     let logits = before.plane(Plane::OPACITY);
     if clearance.is_empty() {
@@ -160,8 +164,10 @@ fn logits<'a>(before: &'a Snapshot, clearance: &Clearance) -> Cow<'a, [f32]> {
         (planes(Plane::POSITION), planes(Plane::LOG_SCALE));
     let rows = logits.par_iter().enumerate();
     let seen = rows.map(|(i, logit)| {
-        let small = log_scale.iter().all(|plane| plane[i] < 0.0);
-        match small && clearance.holds(position.map(|plane| plane[i])) {
+        let largest = log_scale.map(|plane| plane[i]);
+        let largest = largest.into_iter().fold(f32::NEG_INFINITY, f32::max);
+        let position = position.map(|plane| plane[i]);
+        match largest < 0.0 && clearance.holds(position, REACH * largest.exp()) {
             true => f32::NEG_INFINITY,
             false => *logit,
         }
