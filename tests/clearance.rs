@@ -84,6 +84,7 @@ fn trained(
     let config = config(sampler, clearance);
     let plan = Plan::new(data, &config).unwrap();
     let splats = crowded(data, &plan, radii, planted);
+    assert!(planted.behind > 1.0 || within(data, radii, &splats) >= PLANTED);
     let device = Device::open(None).unwrap();
     let mut trainer = Trainer::new(&device, data, &plan, &splats).unwrap();
     drive(&mut trainer, ITERATIONS / 2).unwrap();

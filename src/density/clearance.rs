@@ -13,17 +13,14 @@ const NEAREST: usize = 1000;
 /// Points that are looked at, evenly spread over the file.
 const MAX_POINTS: usize = 100_000;
 
-/// Cells along an axis that are looked at for one position; for a larger reach all balls are.
-const MOST_CELLS: i64 = 9;
-
 /// Balls about cameras.
 #[derive(Debug, Clone)]
 pub struct Clearance {
     /// Centres and radii, those of radius 0 left out.
     balls: Vec<([f32; 3], f32)>,
-    /// Edge of the cells: the median radius, or a quarter of the largest, so that no ball reaches into more than 9 × 9 × 9 of them.
+    /// Edge of the cells: twice the median radius, or half of the largest, so that no ball of twice its radius reaches into more than 9 × 9 × 9 of them.
     edge: f32,
-    /// Balls that reach into a cell, by its coordinates.
+    /// Balls of which a cell is within twice the radius, by its coordinates.
     cells: FxHashMap<[i32; 3], Vec<u32>>,
 }
 
@@ -65,13 +62,13 @@ impl Clearance {
         let largest = sorted.last().copied().unwrap_or(1.0);
         let mut clearance = Self {
             balls: Vec::new(),
-            edge: median.max(largest / 4.0),
+            edge: 2.0 * median.max(largest / 4.0),
             cells: FxHashMap::default(),
         };
         for (center, radius) in centers.iter().zip(radii).filter(|(_, r)| **r > 0.0) {
             let ball = clearance.balls.len() as u32;
             clearance.balls.push((*center, *radius));
-            let radius = f64::from(*radius);
+            let radius = 2.0 * f64::from(*radius);
             let corner = |sign: f64| center.map(|c| f64::from(c) + sign * radius);
             let [from, to] = [-1.0, 1.0].map(|sign| clearance.cell(corner(sign)));
             for x in from[0]..=to[0] {
@@ -91,29 +88,16 @@ impl Clearance {
         self.balls.is_empty()
     }
 
-    /// True if a sphere of radius `reach` about a position reaches into a ball; false if either is not finite.
+    /// True if a position is no further from a ball than `reach`, or the ball's radius where that is less; false if either is not finite.
     #[must_use]
     pub fn holds(&self, position: [f32; 3], reach: f32) -> bool {
-        if !reach.is_finite() {
-            return false;
-        }
-        let inside = |(center, radius): &([f32; 3], f32)| {
-            let within = radius + reach;
-            square(position, *center) < within * within
+        let inside = |ball: &u32| {
+            let (center, radius) = self.balls[*ball as usize];
+            let within = radius + reach.min(radius);
+            square(position, center) < within * within
         };
-        let corner = |sign: f64| position.map(|p| f64::from(p) + sign * f64::from(reach));
-        let [from, to] = [-1.0, 1.0].map(|sign| self.cell(corner(sign)));
-        let across = [0, 1, 2].map(|k| i64::from(to[k]) - i64::from(from[k]) + 1);
-        if across.iter().any(|n| *n > MOST_CELLS) {
-            return self.balls.iter().any(inside);
-        }
-        let [xs, ys, zs] = [0, 1, 2].map(|k| from[k]..=to[k]);
-        let cells = xs.flat_map(|x| ys.clone().map(move |y| (x, y)));
-        let mut cells = cells.flat_map(|(x, y)| zs.clone().map(move |z| [x, y, z]));
-        cells.any(|cell| {
-            let balls = self.cells.get(&cell);
-            balls.is_some_and(|balls| balls.iter().any(|b| inside(&self.balls[*b as usize])))
-        })
+        let near = self.cells.get(&self.cell(position.map(f64::from)));
+        reach.is_finite() && near.is_some_and(|balls| balls.iter().any(inside))
     }
 
     /// The cell of a position; the conversion saturates.
@@ -142,7 +126,7 @@ mod tests {
         let clearance = Clearance::new(&centers, &radii);
         let all = |p: [f32; 3], reach: f32| {
             let mut balls = centers.iter().zip(&radii).filter(|(_, r)| **r > 0.0);
-            balls.any(|(c, r)| square(p, *c) < (r + reach) * (r + reach))
+            balls.any(|(c, r)| square(p, *c) < (r + reach.min(*r)).powi(2))
         };
         let held = positions
             .iter()
@@ -154,7 +138,6 @@ mod tests {
                 .iter()
                 .any(|p| clearance.holds(*p, 0.0) && p[0] < -0.5)
         );
-        // From none over some cells to all balls.
         for reach in [0.0, 0.01, 0.3, 0.8, 3.0] {
             let mut same = positions.iter();
             assert!(
