@@ -29,29 +29,17 @@ fn config(sampler: Sampler, clearance: f64) -> TrainConfig {
     }
 }
 
-/// Place of the Gaussians that are planted: radii behind the camera, and their standard deviation, small or so many radii.
-#[derive(Clone, Copy)]
-struct Planted {
-    behind: f64,
-    deviation: Option<f32>,
-}
-
-const SMALL: Planted = Planted {
-    behind: 0.5,
-    deviation: None,
-};
-
 /// Opaque Gaussians right behind some cameras, with the first ones of the room.
-fn crowded(data: &Dataset, plan: &Plan, radii: &[f32], planted: Planted) -> Gaussians {
+fn crowded(data: &Dataset, plan: &Plan, radii: &[f32]) -> Gaussians {
     let splats = initial_gaussians(data, plan).unwrap();
     let mut planes = splats.planes().to_vec();
     for (view, radius) in data.train.iter().zip(radii).take(PLANTED) {
         let ahead = view.camera.rotation.row(2);
-        let behind = view.camera.center() - planted.behind * f64::from(*radius) * ahead;
+        let behind = view.camera.center() - 0.5 * f64::from(*radius) * ahead;
         for (p, plane) in planes.iter_mut().enumerate() {
             plane.push(match p {
                 0..3 => behind.to_array()[p] as f32,
-                3..6 => planted.deviation.map_or(-6.0, |of| (of * radius).ln()),
+                3..6 => -6.0,
                 6 => 1.0,
                 Plane::OPACITY => 4.0,
                 _ => 0.0,
@@ -64,7 +52,7 @@ fn crowded(data: &Dataset, plan: &Plan, radii: &[f32], planted: Planted) -> Gaus
 /// Number of Gaussians in balls of these radii about the training cameras.
 fn within(data: &Dataset, radii: &[f32], splats: &Gaussians) -> usize {
     let clearance = Clearance::new(&centers(data), radii);
-    let held = |i: &usize| clearance.holds(splats.gather(Plane::POSITION, *i), 0.0);
+    let held = |i: &usize| clearance.holds(splats.gather(Plane::POSITION, *i));
     (0..splats.len()).filter(held).count()
 }
 
@@ -74,17 +62,11 @@ fn centers(data: &Dataset) -> Vec<[f32; 3]> {
 }
 
 /// Trained until density control has had steps.
-fn trained(
-    data: &Dataset,
-    radii: &[f32],
-    sampler: Sampler,
-    clearance: f64,
-    planted: Planted,
-) -> Trainer {
+fn trained(data: &Dataset, radii: &[f32], sampler: Sampler, clearance: f64) -> Trainer {
     let config = config(sampler, clearance);
     let plan = Plan::new(data, &config).unwrap();
-    let splats = crowded(data, &plan, radii, planted);
-    assert!(planted.behind > 1.0 || within(data, radii, &splats) >= PLANTED);
+    let splats = crowded(data, &plan, radii);
+    assert!(within(data, radii, &splats) >= PLANTED);
     let device = Device::open(None).unwrap();
     let mut trainer = Trainer::new(&device, data, &plan, &splats).unwrap();
     drive(&mut trainer, ITERATIONS / 2).unwrap();
@@ -98,59 +80,23 @@ fn whatever_stands_about_a_camera_goes_with_every_strategy() {
     assert!(radii.iter().all(|r| *r > 0.0));
     for sampler in [Sampler::Mh, Sampler::Mcmc, Sampler::Adc] {
         let [free, crowded] = [0.5, 0.0].map(|clearance| {
-            let mut trainer = trained(&data, &radii, sampler, clearance, SMALL);
+            let mut trainer = trained(&data, &radii, sampler, clearance);
             within(&data, &radii, &trainer.state().unwrap().splats)
         });
-        // Single ones may have come in since the last step.
-        let good = free <= 3 && 4 * free < crowded && crowded >= PLANTED;
+        // One may have come in since the last step.
+        let good = free <= 1 && crowded >= PLANTED;
         assert!(good, "{sampler:?}: {free}, {crowded}");
     }
     // A fixed set is fixed.
-    let mut fixed = trained(&data, &radii, Sampler::None, 0.5, SMALL);
+    let mut fixed = trained(&data, &radii, Sampler::None, 0.5);
     assert!(within(&data, &radii, &fixed.state().unwrap().splats) >= PLANTED);
-}
-
-/// A large Gaussian beside a camera is splatted over all of a view from there.
-#[test]
-fn whatever_reaches_in_by_half_a_standard_deviation_goes_too() {
-    let data = room(64);
-    let radii = radii(&centers(&data), &data.points.positions, 0.3);
-    let planted = |deviation| Planted {
-        behind: 1.4,
-        deviation: Some(deviation),
-    };
-    // Those behind a camera whose deviations are what was planted, for the most part.
-    let left = |deviation: f32, clearance: f64| {
-        let mut trainer = trained(&data, &radii, Sampler::Mh, clearance, planted(deviation));
-        let splats = trainer.state().unwrap().splats;
-        let stays = |(view, radius): &(&mhsplat::capture::View, &f32)| {
-            let ahead = view.camera.rotation.row(2);
-            let behind = view.camera.center() - 1.4 * f64::from(**radius) * ahead;
-            let behind = behind.as_vec3().to_array();
-            let near = |i: usize| {
-                let at: [f32; 3] = splats.gather(Plane::POSITION, i);
-                let off = (0..3)
-                    .map(|k| (at[k] - behind[k]).powi(2))
-                    .sum::<f32>()
-                    .sqrt();
-                let size: [f32; 3] = splats.gather(Plane::LOG_SCALE, i);
-                off < 0.3 * **radius && size[0].exp() > 0.3 * deviation * **radius
-            };
-            (0..splats.len()).any(near)
-        };
-        let views = data.train.iter().zip(&radii).take(PLANTED);
-        views.filter(stays).count()
-    };
-    assert_eq!(left(1.2, 0.3), 0);
-    // Training alone takes some, and what does not reach in stays.
-    assert!(left(1.2, 0.0) > 0 && left(0.3, 0.3) > 0);
 }
 
 #[test]
 fn a_checkpoint_keeps_the_radii() {
     let data = room(64);
     let radii = radii(&centers(&data), &data.points.positions, 0.25);
-    let mut trainer = trained(&data, &radii, Sampler::Mh, 0.25, SMALL);
+    let mut trainer = trained(&data, &radii, Sampler::Mh, 0.25);
     let folder = tempfile::tempdir().unwrap();
     let config = config(Sampler::Mh, 0.25);
     checkpoint::write(folder.path(), &saved(&mut trainer, &config, &data)).unwrap();
@@ -198,7 +144,7 @@ fn records_of_earlier_versions_had_none() {
         assert!(output.status.success());
         RunRecord::read(out).unwrap().config.clearance
     };
-    assert_eq!(train(&first, &[]), 0.3);
+    assert_eq!(train(&first, &[]), 0.5);
     let file = format!("{first}/run.json");
     let text = fs::read_to_string(&file).unwrap();
     let mut record: serde_json::Value = serde_json::from_str(&text).unwrap();

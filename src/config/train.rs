@@ -59,8 +59,8 @@ pub struct TrainConfig {
     /// photos mh's own (mh.pair-pixels), mcmc: 1000000, else none].
     #[arg(long, value_name = "N")]
     pub max_gaussians: Option<usize>,
-    /// Radius of the space about each training camera that density steps keep free of Gaussians, and of spheres of half their largest standard
-    /// deviation, over the distance of the sparse points nearest to it (0: none; below 1).
+    /// Radius of the space about each training camera that density steps keep free of Gaussians, over the distance of the sparse points
+    /// nearest to it (0: none; below 1).
     #[arg(long, value_name = "SHARE", default_value_t = Self::default().clearance)]
     pub clearance: f64,
     /// SH degree, 0 to 3.
@@ -175,7 +175,7 @@ impl Default for TrainConfig {
             max_size: 1600,
             image_budget: None,
             max_gaussians: None,
-            clearance: 0.3,
+            clearance: 0.5,
             sh_degree: 3,
             seed: 0,
             eval_every: None,

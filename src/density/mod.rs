@@ -7,7 +7,7 @@
 //! | `control.rs` | the trait, the context of a step, births to be estimated |
 //! | `state.rs`, `statistics.rs`, `picture.rs` | input: parameters, statistics per Gaussian, renders of views |
 //! | `outcome.rs` | output: edits, removals, counters |
-//! | `clearance.rs` | space about the cameras in which no Gaussian lives, nor reaches in |
+//! | `clearance.rs` | space about the cameras in which no Gaussian lives |
 //! | `draw.rs`, `relocation.rs` | draws by weight, dead Gaussians that take over alive ones |
 //! | `mh/`, `mcmc.rs`, `adc.rs`, `none.rs` | the strategies |
 

@@ -11,7 +11,7 @@ pub struct SceneState<'a> {
     pub log_scales: [&'a [f32]; 3],
     /// Rotation quaternions w, x, y, z, of any norm.
     pub rotations: [&'a [f32]; 4],
-    /// Opacity logits; −∞ for what stands in the free space about a camera, or reaches into it (`TrainConfig::clearance`), which is to go as what is transparent.
+    /// Opacity logits; −∞ for what stands in the free space about a camera (`TrainConfig::clearance`), which is to go as what is transparent.
     pub opacity_logits: &'a [f32],
 }
 

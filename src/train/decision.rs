@@ -148,12 +148,8 @@ impl Evidence {
     }
 }
 
-/// Standard deviations, of a Gaussian's largest, that may not reach into the free space about a camera: large ones beside it are splatted over
-/// all of a view from there (docs/results/clearance.md). No further than the radius of that space: a floor or a wall without texture is large, too.
-const REACH: f32 = 0.5;
-
-/// Opacity logits for the strategy: what stands in the free space about a camera, or reaches into it, counts as transparent, and goes by its rules.
-/// Whatever is larger than the scene's extent does not stand there alone, and stays.
+/// Opacity logits for the strategy: what stands in the free space about a camera counts as transparent, and goes by its rules. Whatever is
+/// larger than the scene's extent does not stand there alone, and stays.
 fn logits<'a>(before: &'a Snapshot, clearance: &Clearance) -> Cow<'a, [f32]> {
     let logits = before.plane(Plane::OPACITY);
     if clearance.is_empty() {
@@ -164,11 +160,8 @@ fn logits<'a>(before: &'a Snapshot, clearance: &Clearance) -> Cow<'a, [f32]> {
         (planes(Plane::POSITION), planes(Plane::LOG_SCALE));
     let rows = logits.par_iter().enumerate();
     let seen = rows.map(|(i, logit)| {
-        let log_scale = log_scale.map(|plane| plane[i]);
-        let small = log_scale.iter().all(|s| *s < 0.0);
-        let largest = log_scale.into_iter().fold(f32::NEG_INFINITY, f32::max);
-        let position = position.map(|plane| plane[i]);
-        match small && clearance.holds(position, REACH * largest.exp()) {
+        let small = log_scale.iter().all(|plane| plane[i] < 0.0);
+        match small && clearance.holds(position.map(|plane| plane[i])) {
             true => f32::NEG_INFINITY,
             false => *logit,
         }
