@@ -5,7 +5,7 @@ use std::time::Instant;
 
 use crate::base::error::Result;
 use crate::chart::text::{about, grouped};
-use crate::config::{Preset, TrainConfig, TrainingSize};
+use crate::config::{Init, Preset, TrainConfig, TrainingSize};
 use crate::density::Expected;
 use crate::evaluate::Evaluator;
 use crate::run::cost::{TYPICAL, cost};
@@ -22,6 +22,12 @@ const FIRST: u32 = 20;
 
 /// The cost of an iteration is measured so many times in a run, evenly spread.
 const MEASUREMENTS: u32 = 50;
+
+/// Share of a run in which its first Gaussians are about all that there are, and cost of an iteration of later ones over that of these: sparse
+/// points are faint and far apart, random ones large (docs/results/budgets.md).
+const BEGINNING: f64 = 1.0 / 12.0;
+const AFTER_POINTS: f64 = 1.2;
+const AFTER_RANDOM: f64 = 0.62;
 
 /// Mean cost of an iteration at full size over that of the last one: Gaussians die towards the end.
 const MEAN_COST: f64 = 1.05;
@@ -141,6 +147,8 @@ pub(super) struct Forecast {
     since: (u32, Expected),
     /// Density steps to come of a run of a length; `None` if they are to be foreseen anew.
     ahead: Option<(u32, Steps)>,
+    /// Cost of later iterations over that of those in the [`BEGINNING`].
+    later: f64,
     sizes: Sizes,
     /// Halvings that photos have had: there are no more from then on, be it that another length would have them.
     reached: u32,
@@ -224,6 +232,11 @@ impl Forecast {
                     born: 0.0,
                 },
             ),
+            later: match config.init {
+                _ if plan.random_start => AFTER_RANDOM,
+                Init::Points if plan.swept.is_none() => AFTER_POINTS,
+                _ => 1.0,
+            },
             pixels: trainer.largest_photo() as f64,
             size: config.last_size(),
             footprint: Footprint::of(trainer),
@@ -273,6 +286,7 @@ impl Forecast {
             footprint: None,
             sizes,
             reached: u32::MAX,
+            later: 1.0,
             pixels: SMALL,
             size: TrainingSize::Full,
             shown,
@@ -321,7 +335,9 @@ impl Forecast {
             return;
         }
         let each = self.cost(self.reached, 0.5 * (fewer + gaussians));
-        let unit = (seconds - then).max(1e-9) / (f64::from(done - before) * each);
+        let begins = f64::from(before) < BEGINNING * f64::from(length);
+        let later = if begins { self.later } else { 1.0 };
+        let unit = later * (seconds - then).max(1e-9) / (f64::from(done - before) * each);
         self.here += 1;
         // The geometric mean with the one before: a window is short, and other programs run beside it. That of another size counts once: it is
         // less sure, and in the first window Gaussians are still as large as smaller photos left them.

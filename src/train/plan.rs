@@ -115,7 +115,7 @@ pub struct Plan {
     /// [`Dataset::swept`].
     pub swept: Option<usize>,
     /// True if the first Gaussians are random.
-    random_start: bool,
+    pub(crate) random_start: bool,
     /// Reason for a largest size of the photos below the size asked for; `None` where they have that.
     smaller: Option<Why>,
     /// Kind of the leader's device in the plan of a rank that does not lead.
