@@ -58,6 +58,11 @@ const PROBE: usize = 192;
 /// Iterations done at density steps to come, and the number of Gaussians expected after each; `None` if nothing is expected of them.
 type Steps = Option<Vec<(u32, f64)>>;
 
+/// True in the [`BEGINNING`] of a run of a length.
+fn begins(done: u32, length: u32) -> bool {
+    f64::from(done) < BEGINNING * f64::from(length)
+}
+
 /// A number of Gaussians in words: two digits.
 fn counted(gaussians: f64) -> String {
     let step = 10f64.powf((gaussians.max(1.0).log10() - 1.0).floor().max(0.0));
@@ -147,7 +152,7 @@ pub(super) struct Forecast {
     since: (u32, Expected),
     /// Density steps to come of a run of a length; `None` if they are to be foreseen anew.
     ahead: Option<(u32, Steps)>,
-    /// Cost of later iterations over that of those in the [`BEGINNING`].
+    /// Cost of later iterations over that of those in the [`BEGINNING`]; 1 once that is over, which no other length brings back.
     later: f64,
     sizes: Sizes,
     /// Halvings that photos have had: there are no more from then on, be it that another length would have them.
@@ -233,6 +238,7 @@ impl Forecast {
                 },
             ),
             later: match config.init {
+                _ if !begins(done, config.iterations_at(done.saturating_sub(1))) => 1.0,
                 _ if plan.random_start => AFTER_RANDOM,
                 Init::Points if plan.swept.is_none() => AFTER_POINTS,
                 _ => 1.0,
@@ -319,6 +325,10 @@ impl Forecast {
         if std::mem::replace(&mut self.reached, halvings) != halvings {
             self.grew();
         }
+        if self.later != 1.0 && !begins(done, length) {
+            self.later = 1.0;
+            self.disturbed();
+        }
         let Some((before, then, fewer)) = self.mark else {
             // What came before, reading photos and building kernels, is no cost of iterations.
             self.mark = mark;
@@ -335,9 +345,7 @@ impl Forecast {
             return;
         }
         let each = self.cost(self.reached, 0.5 * (fewer + gaussians));
-        let begins = f64::from(before) < BEGINNING * f64::from(length);
-        let later = if begins { self.later } else { 1.0 };
-        let unit = later * (seconds - then).max(1e-9) / (f64::from(done - before) * each);
+        let unit = self.later * (seconds - then).max(1e-9) / (f64::from(done - before) * each);
         self.here += 1;
         // The geometric mean with the one before: a window is short, and other programs run beside it. That of another size counts once: it is
         // less sure, and in the first window Gaussians are still as large as smaller photos left them.
