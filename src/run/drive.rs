@@ -118,6 +118,8 @@ impl Run {
                     return Err(Error::Interrupted);
                 }
             }
+            self.trainer.settle_before_density()?;
+            let (before, _) = self.spent();
             match self.trainer.advance()? {
                 Event::Finished => match self.pace.beyond(done) {
                     // The run that is repeated went on from its end.
@@ -129,12 +131,7 @@ impl Run {
                     self.forecast.disturbed();
                     progress(&self.progress(Some(decision.to_string())));
                 }
-                Event::Density(event) => {
-                    let born = event.stats.accepted + event.stats.cloned + event.stats.split;
-                    self.forecast
-                        .grown(event.iteration, event.gaussians as u64, born);
-                    self.log_density(&event)?;
-                }
+                Event::Density(event) => self.note_density(&event, before)?,
                 Event::Settled(done) => {
                     if let Err(error) = self.pause(done) {
                         self.trainer.repeat_pause();
@@ -369,7 +366,12 @@ impl Run {
         Ok(())
     }
 
-    fn log_density(&mut self, event: &DensityEvent) -> Result<()> {
+    /// Takes note of a density step before which the clock showed so many seconds of training.
+    fn note_density(&mut self, event: &DensityEvent, before: f64) -> Result<()> {
+        let seconds = self.spent().0 - before;
+        let born = event.stats.accepted + event.stats.cloned + event.stats.split;
+        let set = [event.gaussians as u64, born];
+        self.forecast.grown(event.iteration, set, seconds);
         self.density.write(&DensityRow {
             iteration: event.iteration,
             train_seconds: self.clock.train_seconds(),
@@ -385,7 +387,7 @@ impl Run {
 
     fn out_of_time(&self) -> bool {
         let (_, spent) = self.spent();
-        let end = self.forecast.end().unwrap_or(0.0);
+        let end = self.forecast.end(self.iterations()).unwrap_or(0.0);
         let budget = self.pace.budget();
         budget.is_some_and(|budget| spent + end >= budget.seconds)
     }

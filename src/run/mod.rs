@@ -19,6 +19,7 @@ mod budget;
 pub mod checkpoint;
 pub mod clock;
 mod cost;
+mod cost_meter;
 pub mod density_trace;
 mod drive;
 mod error_model;

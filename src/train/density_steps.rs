@@ -4,7 +4,7 @@ use crate::base::error::{Error, Result};
 use crate::train::control::{Control, DensityEvent};
 use crate::train::crew::{DECIDE, EDIT, Words};
 use crate::train::decision::{Deciding, Decision, outcome_of, words_of};
-use crate::train::step::{Event, Trainer};
+use crate::train::step::{Event, Next, Trainer};
 use crate::train::working::Working;
 
 impl Trainer {
@@ -18,6 +18,21 @@ impl Trainer {
             smoothing: self.smoothing.as_ref(),
         };
         (&mut self.control, on)
+    }
+
+    /// Settles what is in flight if a density step begins and ends before the next iteration, or one that lags ends: whoever measures the
+    /// time of the step has that of iterations apart.
+    ///
+    /// # Errors
+    /// See [`Trainer::settle`].
+    pub fn settle_before_density(&mut self) -> Result<()> {
+        let at = self.iteration;
+        let ends = self.control.deciding.as_ref().map(|step| at >= step.ends);
+        let begins = self.schedule.density_lag(at) == 0 && self.schedule.density_due(at).is_some();
+        match matches!(self.next, Next::Pause | Next::Density) && ends.unwrap_or(begins) {
+            true => self.settle(),
+            false => Ok(()),
+        }
     }
 
     /// Begins density control if it is due, and ends what has begun if it has lagged behind for long enough.
