@@ -256,21 +256,9 @@ impl Budget {
 mod tests {
     use super::{Budget, CPU_TICK, LATEST, SHORTEST};
     use crate::config::{TrainConfig, TrainingSize};
-    use crate::run::cost::TYPICAL;
     use crate::run::forecast::{Every, Forecast, Made, picture_cost};
+    use crate::run::forecast_tests::{EVERY, GAUSSIANS, PICTURES};
     use crate::train::sizes::Sizes;
-
-    const EVERY: Every = Every {
-        evaluation: None,
-        made: Made::AsTimeAllows,
-        checkpoint: 1000,
-    };
-
-    /// Seconds per pixel of a view's pictures.
-    const PICTURES: f64 = 1e-7;
-
-    /// Gaussians of all runs, those that a forecast begins with.
-    const GAUSSIANS: f64 = TYPICAL;
 
     fn forecast(seconds: f64) -> Forecast {
         // 50 views are shown and 8 of 0.3 megapixels scored at the end.
@@ -492,38 +480,6 @@ mod tests {
         let (made, sizes) = (Made::All, Sizes::default());
         let asked = Forecast::of(sizes, 0, (4000, 0), Every { made, ..EVERY }, 20.0, PICTURES);
         assert!(asked.affords_evaluation(75, 1500, 0.0));
-    }
-
-    /// An overflow of tile intersections takes training back.
-    #[test]
-    fn going_back_measures_nothing() {
-        let mut forecast = Forecast::of(Sizes::default(), 0, (0, 0), EVERY, 20.0, PICTURES);
-        let mut seconds = 0.0;
-        for done in [0, 20, 19, 18, 19, 20, 21, 40] {
-            forecast.iterated(done, 1000, seconds, GAUSSIANS);
-            seconds += 1.0;
-        }
-        let left = forecast.left(40, 1000).unwrap();
-        assert!((10.0..600.0).contains(&left), "{left}");
-    }
-
-    /// A run that is shortened has larger photos at once: no window has photos of both sizes.
-    #[test]
-    fn windows_have_photos_of_one_size() {
-        let sizes = Sizes::at_shares(&[0.1]);
-        let mut forecast = Forecast::of(sizes, 0, (0, 0), EVERY, 20.0, PICTURES);
-        let mut seconds = 0.0;
-        for done in 0..=175 {
-            let (length, each) = if done < 150 {
-                (2000, 0.066)
-            } else {
-                (1000, 0.1)
-            };
-            forecast.iterated(done, length, seconds, GAUSSIANS);
-            seconds += each;
-        }
-        let left = forecast.left(175, 1000).unwrap() - forecast.end(1000).unwrap();
-        assert!((left - 82.5).abs() < 3.0, "{left}");
     }
 
     /// A decision on the way takes a second in which a thousand iterations could be done.

@@ -21,7 +21,7 @@ use crate::train::sizes::Sizes;
 /// Mean cost of an iteration at full size over that of the last one: Gaussians die towards the end.
 const MEAN_COST: f64 = 1.05;
 
-/// Cost of a density step before the first one, over that of an iteration at the end (1500 and 7000 iterations of plush, fox-colmap, lego and
+/// Expected cost of a density step over that of an iteration at the end (1500 and 7000 iterations of plush, fox-colmap, lego and
 /// tankard at 400 to 640 px: 0.6 to 2).
 const STEP: f64 = 1.0;
 
@@ -71,6 +71,11 @@ impl Spent {
     fn add(&mut self, seconds: f64) {
         self.times += 1;
         self.seconds += seconds;
+    }
+
+    /// Mean of the times so far and a guess, which counts as one of them.
+    fn mean_with(&self, guess: f64) -> f64 {
+        (self.seconds + guess) / f64::from(self.times + 1)
     }
 
     /// Mean of the times so far; `None` before the first.
@@ -135,7 +140,7 @@ impl Made {
 #[derive(Debug, Clone)]
 pub(super) struct Forecast {
     /// Numbers of Gaussians to come; `None` if they stay as many.
-    growth: Option<Growth>,
+    pub(super) growth: Option<Growth>,
     /// Iterations done at the last density step, or where the run began or went on, and the set since then.
     since: (u32, Expected),
     /// Density steps to come of a run of a length; `None` if they are to be foreseen anew.
@@ -159,6 +164,7 @@ pub(super) struct Forecast {
     scored: (usize, u64),
     /// Seconds per pixel of a view's pictures.
     pictures: f64,
+    /// Seconds of an iteration of cost 1.
     pub(super) meter: CostMeter,
     every: Every,
     /// Memory of the run; `None` where it is not known.
@@ -204,8 +210,16 @@ impl Forecast {
             Init::Points if plan.swept.is_none() => First::Sparse,
             _ => First::Found,
         };
-        let length = config.iterations_at(done.saturating_sub(1)).max(1);
-        let share = f64::from(done) / f64::from(length);
+        let begun = config
+            .lengths
+            .iter()
+            .map(|l| l.from)
+            .filter(|at| *at < done);
+        let share_at = |at: u32| {
+            let length = config.iterations_at(at.saturating_sub(1)).max(1);
+            f64::from(at) / f64::from(length)
+        };
+        let share = begun.map(share_at).fold(share_at(done), f64::max);
         let growth = Growth::new(
             trainer.schedule().clone(),
             plan.strategy(),
@@ -299,7 +313,8 @@ impl Forecast {
         self.meter.iterated((done, length), seconds, one, grows);
     }
 
-    /// Takes note of a density step that began after so many iterations, of the set after it, and of the time that it took.
+    /// Takes note of a density step that began after so many iterations, of the set after it, and of the time that it took beside iterations
+    /// (of one that lags behind that of its end).
     pub fn grown(&mut self, begun: u32, [gaussians, born]: [u64; 2], seconds: f64) {
         let [gaussians, born] = [gaussians, born].map(|n| n as f64);
         self.since = (begun, Expected { gaussians, born });
@@ -316,9 +331,12 @@ impl Forecast {
         if let Some(growth) = &mut self.growth {
             growth.follow(schedule);
         }
-        self.ahead = None;
+        let length = schedule.iterations(done);
+        self.ahead = Some((length, self.steps_ahead(length)));
         let before = std::mem::replace(&mut self.size, schedule.size(done));
-        if before != self.size {
+        // A shorter run has larger photos at once.
+        let halvings = self.sizes.halvings(done, length).min(self.reached);
+        if std::mem::replace(&mut self.reached, halvings) != halvings || before != self.size {
             self.meter.grew();
         }
         before != self.size
@@ -409,7 +427,7 @@ impl Forecast {
         let last = steps.last().map_or(n, |(_, n)| *n);
         let step = STEP * unit * self.cost_at_end(last);
         let iterations = unit * self.work([done, length], length, self.reached, (n, steps))
-            + steps.len() as f64 * self.steps.mean().unwrap_or(step);
+            + steps.len() as f64 * self.steps.mean_with(step);
         let rest = length.saturating_sub(done);
         let times = |every: u32| f64::from(rest.checked_div(every).unwrap_or(0));
         let every = self.every.evaluation.unwrap_or((length / 20).max(1));
@@ -507,74 +525,5 @@ impl Forecast {
             f64::from(pair[1] - pair[0]) * self.cost(halvings.min(most), n)
         };
         edges.windows(2).map(piece).sum()
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::{Every, Forecast, Made, SMALL};
-    use crate::run::cost::{TYPICAL, cost};
-    use crate::train::sizes::Sizes;
-
-    const EVERY: Every = Every {
-        evaluation: None,
-        made: Made::AsTimeAllows,
-        checkpoint: 1000,
-    };
-
-    /// Seconds per pixel of a view's pictures.
-    const PICTURES: f64 = 1e-7;
-
-    const GAUSSIANS: f64 = TYPICAL;
-
-    /// Largest error of the time left, as a share of it, between two iterations of a run of these times.
-    fn worst(times: &[f64], [from, to]: [usize; 2]) -> f64 {
-        let (sizes, length) = (Sizes::at_shares(&[0.05, 0.1]), times.len() as u32);
-        let mut forecast = Forecast::of(sizes, 0, (0, 0), EVERY, 20.0, PICTURES);
-        let whole: f64 = times.iter().sum();
-        let (mut used, mut worst) = (0.0, 0.0_f64);
-        for (done, time) in times.iter().enumerate() {
-            forecast.iterated(done as u32, length, used, GAUSSIANS);
-            let left = forecast.left(done as u32, length);
-            if (from..to).contains(&done) {
-                let (told, end) = (left.unwrap(), forecast.end(length).unwrap());
-                worst = worst.max(((told - end) / (whole - used) - 1.0).abs());
-            }
-            used += time;
-        }
-        worst
-    }
-
-    /// From the first tenth on, where the law of costs holds or is off by a fifth at smaller photos; later where it is off by more.
-    #[test]
-    fn time_left_is_told_of_costs_that_change() {
-        let by_law = |pixels: f64| cost(pixels, GAUSSIANS) / cost(SMALL, GAUSSIANS);
-        let smaller = |share: f64| match share {
-            s if s < 0.05 => by_law(SMALL / 16.0),
-            s if s < 0.1 => by_law(SMALL / 4.0),
-            _ => 1.0,
-        };
-        let times = |each: &dyn Fn(f64) -> f64| -> Vec<f64> {
-            (0..1500).map(|i| each(f64::from(i) / 1500.0)).collect()
-        };
-        for unit in [2e-3, 0.02, 0.5] {
-            for off in [0.8, 1.2] {
-                let each = |s: f64| unit * smaller(s) * if s < 0.1 { off } else { 1.0 };
-                let worst = worst(&times(&each), [150, 1350]);
-                assert!(worst < 0.25, "{off}: {worst}");
-            }
-            for change in [
-                |_: f64| 1.0,
-                |s: f64| 1.2 - 0.4 * s,
-                |s: f64| 0.7 + 1.2 * s * (1.0 - s),
-            ] {
-                let known = worst(&times(&|s| unit * smaller(s) * change(s)), [150, 1350]);
-                assert!(known < 0.25, "{known}");
-                // The first window of larger photos counts half.
-                let size = |s: f64| if s < 0.1 { 0.4 } else { 1.0 };
-                let unknown = worst(&times(&|s| unit * size(s) * change(s)), [215, 1350]);
-                assert!(unknown < 0.3, "{unknown}");
-            }
-        }
     }
 }

@@ -26,6 +26,8 @@ mod error_model;
 mod export;
 mod footprint;
 mod forecast;
+#[cfg(test)]
+mod forecast_tests;
 pub mod live;
 mod open;
 mod patience;

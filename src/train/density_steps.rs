@@ -27,7 +27,8 @@ impl Trainer {
     /// See [`Trainer::settle`].
     pub fn settle_before_density(&mut self) -> Result<()> {
         let at = self.iteration;
-        let ends = self.control.deciding.as_ref().map(|step| at >= step.ends);
+        let over = at >= self.schedule.iterations(at);
+        let ends = (self.control.deciding.as_ref()).map(|step| over || at >= step.ends);
         let begins = self.schedule.density_lag(at) == 0 && self.schedule.density_due(at).is_some();
         match matches!(self.next, Next::Pause | Next::Density) && ends.unwrap_or(begins) {
             true => self.settle(),
