@@ -319,7 +319,8 @@ impl Forecast {
         let [gaussians, born] = [gaussians, born].map(|n| n as f64);
         self.since = (begun, Expected { gaussians, born });
         // Where it is not known how many are to come they are taken for a part of iterations.
-        if matches!(self.ahead.take(), Some((_, Some(_)))) {
+        let known = self.ahead.take().map(|(_, steps)| steps.is_some());
+        if known.unwrap_or(self.growth.is_some()) {
             self.steps.add(seconds);
             self.meter.leave_out(seconds);
         }
