@@ -98,9 +98,9 @@ pub fn train(photos: &str, iterations: u32, scene: &str) -> Result<[usize; 2]> {
     let strategy = Arc::new(WorstFirst);
     let mut trainer = Trainer::with_strategy(&device, &dataset, &plan, &start, strategy)?;
     while trainer.advance()? != Event::Finished {}
-    let trained = trainer.splats()?.0;
-    ply::write(scene.as_ref(), &trained, &dataset.frame)?;
-    Ok([start.len(), trained.len()])
+    let trained = trainer.scene()?;
+    ply::write_scene(scene.as_ref(), &trained, &dataset.frame)?;
+    Ok([start.len(), trained.splats.len()])
 }
 
 fn main() -> std::result::Result<(), Box<dyn std::error::Error>> {

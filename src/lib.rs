@@ -45,7 +45,7 @@
 //! let splats = run::initial_gaussians(&dataset, &plan)?;
 //! let mut trainer = Trainer::new(&device, &dataset, &plan, &splats)?;
 //! while trainer.advance()? != Event::Finished {}
-//! mhsplat::scene::ply::write("scene.ply".as_ref(), &trainer.splats()?.0, &dataset.frame)?;
+//! mhsplat::scene::ply::write_scene("scene.ply".as_ref(), &trainer.scene()?, &dataset.frame)?;
 //! # Ok(())
 //! # }
 //! ```

@@ -9,8 +9,8 @@ use mhsplat::device::{CameraArg, Device};
 use mhsplat::pipeline::forward::RenderOptions;
 use mhsplat::run::{checkpoint, initial_gaussians};
 use mhsplat::scene::{Gaussians, Plane};
-use mhsplat::train::Trainer;
 use mhsplat::train::schedule::Schedule;
+use mhsplat::train::{Begun, Trainer};
 
 /// The room's photos with this alpha in their left halves.
 pub fn holed(alpha: u8, meaning: Alpha) -> Dataset {
@@ -72,11 +72,73 @@ fn the_schedule_changes_it_where_photos_are_transparent() {
     assert_eq!(TrainConfig::default().background, Background::Auto);
 }
 
+/// The mean colour of the photos by its definition, to three decimals.
+fn mean(data: &Dataset) -> [f32; 3] {
+    let photos: Vec<_> = data.train.iter().map(|v| v.photo.load().unwrap()).collect();
+    // As many as are looked at, evenly spread.
+    let count = photos.len().min(8);
+    let photos = (0..count).map(|k| &photos[k * photos.len() / count]);
+    let photos: Vec<&Photo> = photos.map(|photo| &**photo).collect();
+    [0, 1, 2].map(|c| {
+        let pixels = |photo: &Photo| (photo.width * photo.height) as usize;
+        let plane = |photo: &Photo| photo.data[c * pixels(photo)..][..pixels(photo)].to_vec();
+        let values: Vec<u8> = photos.iter().flat_map(|photo| plane(photo)).collect();
+        let mean = values.iter().map(|v| f64::from(*v)).sum::<f64>() / values.len() as f64;
+        ((mean / 255.0 * 1000.0).round() / 1000.0) as f32
+    })
+}
+
+#[test]
+fn opaque_photos_are_trained_over_their_mean_color() {
+    let plan = |data: &Dataset, background| Plan::new(data, &config(background)).unwrap();
+    let opaque = room(64);
+    let decided = plan(&opaque, Background::Auto);
+    let color = mean(&opaque);
+    assert_eq!(decided.background.value, color);
+    assert_eq!(decided.behind(), Some(color));
+    assert_eq!(decided.schedule().fixed_background(), color);
+    let said = format!("{:.3}, {:.3}, {:.3}", color[0], color[1], color[2]);
+    let why = decided.background.why.to_string();
+    assert!(why.contains(&said), "{why}");
+    // What nobody is to see behind a scene, and what is asked for.
+    let black = [0.0; 3];
+    let holes = [
+        (holed(0, Alpha::Mask), Background::Auto, black, None),
+        (holed(0, Alpha::Transparency), Background::Auto, black, None),
+        (
+            holed(0, Alpha::Transparency),
+            Background::White,
+            [1.0; 3],
+            None,
+        ),
+        (room(64), Background::Random, black, None),
+        (room(64), Background::Black, black, None),
+        (room(64), Background::White, [1.0; 3], Some([1.0; 3])),
+    ];
+    for (data, asked, color, behind) in holes {
+        let decided = plan(&data, asked);
+        assert_eq!(decided.background.value, color, "{asked:?}");
+        assert_eq!(decided.behind(), behind, "{asked:?}");
+    }
+    // A run that began over black goes on over it, and one over a colour over that.
+    for color in [black, [0.5, 0.25, 0.125]] {
+        let begun = Begun {
+            background: Some(color),
+            ..Begun::default()
+        };
+        let decided = Plan::begun(&opaque, &config(Background::Auto), &begun).unwrap();
+        assert_eq!(decided.background.value, color);
+    }
+}
+
 #[test]
 fn training_asks_what_its_photos_are() {
     let of = |data: &Dataset, background| trained(data, &config(background), 40).1;
     let same = |data: &Dataset| of(data, Background::Auto) == of(data, Background::Black);
-    assert!(same(&room(64)));
+    let opaque = room(64);
+    assert!(!same(&opaque));
+    let mean = Background::Color(mean(&opaque));
+    assert!(of(&opaque, Background::Auto) == of(&opaque, mean));
     let masked = holed(0, Alpha::Mask);
     assert_eq!(masked.alpha(), Alpha::Mask);
     assert!(same(&masked));

@@ -25,6 +25,7 @@ fn config(sampler: Sampler, clearance: f64) -> TrainConfig {
         clearance,
         iterations: ITERATIONS,
         max_size: 64,
+        seed: 1,
         ..TrainConfig::default()
     }
 }

@@ -59,7 +59,7 @@ fn estimated(trainer: &Trainer, splats: &Gaussians, candidates: &[Edit]) -> Vec<
     let setting = Setting {
         render: RenderOptions {
             sh_degree: splats.sh_degree(),
-            background: [0.0; 3],
+            background: trainer.schedule().fixed_background(),
             quantity: Quantity::Color,
             active_only: false,
         },

@@ -109,9 +109,10 @@ fn corrected_psnr(data: &Dataset, trainer: &mut Trainer) -> f64 {
     let device = Device::open(None).unwrap();
     let views = ViewSet::new(&Photos::new(&device, data.image_budget), data.test.clone()).unwrap();
     let evaluator = Evaluator::new(&device, Defines::new(device.tuning()), views).unwrap();
-    let mut scores = evaluator.score_all(trainer, [0.0; 3], false).unwrap();
+    let background = trainer.schedule().fixed_background();
+    let mut scores = evaluator.score_all(trainer, background, false).unwrap();
     evaluator
-        .add_color_corrected(&mut scores, trainer, [0.0; 3])
+        .add_color_corrected(&mut scores, trainer, background)
         .unwrap();
     for s in scores.iter().map(|v| &v.scores) {
         assert!(s.cc_psnr.unwrap() > s.psnr - 0.05, "{s:?}");

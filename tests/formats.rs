@@ -2,6 +2,7 @@
 
 mod damaged;
 mod glb;
+mod shell;
 mod sog;
 
 use std::fs;

@@ -392,6 +392,7 @@ fn a_run_that_goes_on_measures_no_photo_again() {
         anti_aliasing: Some(plan.anti_aliasing.value),
         detail: Some(detail.to_vec()),
         clearance: Some(plan.clearance.value.clone()),
+        background: Some(plan.background.value),
     };
     let same = Plan::begun(&lazy, &config, &begun(&plan.detail.value)).unwrap();
     assert_eq!(same, plan);

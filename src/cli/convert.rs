@@ -70,7 +70,13 @@ pub fn run(args: &ConvertArgs, common: &Common) -> Result<Outcome> {
             "look at --crop (the scene's own units; `mhsplat info` tells them) and --min-opacity";
         return Err(Error::input(&input, what, fix));
     }
-    let file = SceneFile { splats, ..file };
+    // About a part alone nothing is to be seen.
+    let background = file.background.filter(|_| args.crop.is_none());
+    let file = SceneFile {
+        splats,
+        background,
+        ..file
+    };
     let Written { bytes, lost } = scene::write(out, format, &file)?;
     if common.json {
         let remarks = [file.changes(), lost].concat();

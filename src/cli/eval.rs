@@ -72,6 +72,7 @@ pub fn run(args: &EvalArgs, common: &Common) -> Result<Outcome> {
     let defines = Defines::new(loaded.device.tuning());
     let evaluator = Evaluator::new(&loaded.device, defines, views)?;
     let background = scene::background(args.background.as_deref(), record.as_ref())?;
+    let background = background.unwrap_or(loaded.background);
     let scene = &mut (&loaded.scene, &mut loaded.renderer);
     let mut scores = evaluator.score_all(scene, background, true)?;
     if args.color_corrected {

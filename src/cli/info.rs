@@ -268,8 +268,11 @@ fn of_scene(path: &Path) -> Result<(Value, Vec<String>)> {
     let (count, degree) = (splats.len(), splats.sh_degree());
     let sphere = |s: Sphere| json!({ "center": s.center.to_array(), "radius": s.radius });
     let cameras = file.cameras.map(sphere);
+    // As short as single precision has it.
+    let short = |v: f32| (f64::from(v) * 1e6).round() / 1e6;
+    let background = file.background.map(|color| color.map(short));
     let document = json!({
-        "path": path, "gaussians": count, "sh_degree": degree, "anti_aliased": file.anti_aliased, "up": file.up, "cameras": cameras, "saturated": file.saturated,
+        "path": path, "gaussians": count, "sh_degree": degree, "anti_aliased": file.anti_aliased, "up": file.up, "cameras": cameras, "background": background, "saturated": file.saturated,
         "quantiles": { "shares": QUANTILES, "x": axes[0], "y": axes[1], "z": axes[2], "opacity": opacity, "scale": scale },
     });
     let words = |values: &[f64]| {
@@ -286,6 +289,11 @@ fn of_scene(path: &Path) -> Result<(Value, Vec<String>)> {
     )];
     if let Some(Sphere { center, radius }) = file.cameras {
         lines.push(format!("cameras: within {radius:.4} of {center:.4}"));
+    }
+    if let Some([r, g, b]) = file.background {
+        lines.push(format!(
+            "background: {r}, {g}, {b}, which a shell of further Gaussians shows to other programs"
+        ));
     }
     lines.push("least, 5 %, median, 95 %, largest of".to_owned());
     let rows = [("x", &axes[0]), ("y", &axes[1]), ("z", &axes[2])];

@@ -45,7 +45,7 @@ pub fn run(args: &MergeArgs, common: &Common) -> Result<Outcome> {
     let runs = runs(args, cells.cells.len())?;
     let mut counts = Vec::with_capacity(runs.len());
     let mut whole: Option<(SceneFile, Convention)> = None;
-    let (mut up, mut spheres) = (DVec3::ZERO, Vec::new());
+    let (mut up, mut spheres, mut backgrounds) = (DVec3::ZERO, Vec::new(), Vec::new());
     for (i, run) in runs.iter().enumerate() {
         let (file, record) = scene::locate(run)?;
         if let Some(record) = &record {
@@ -59,6 +59,7 @@ pub fn run(args: &MergeArgs, common: &Common) -> Result<Outcome> {
         };
         up += file.up.map_or(DVec3::ZERO, DVec3::from);
         spheres.extend(file.cameras);
+        backgrounds.extend(file.background);
         let read = file.splats.len();
         let splats = file.splats.centered(|p| cells.owns(i, p));
         counts.push((run, read, splats.len()));
@@ -85,6 +86,7 @@ pub fn run(args: &MergeArgs, common: &Common) -> Result<Outcome> {
     whole.up = up.try_normalize().map(|up| up.to_array());
     // Of some cells alone it would leave the others out.
     whole.cameras = around(&spheres).filter(|_| spheres.len() == runs.len());
+    whole.background = mean(&backgrounds).filter(|_| backgrounds.len() == runs.len());
     if convention.exposure == Some(true) {
         output::note(
             "the runs compensated exposures, each by itself: brightness may differ between cells",
@@ -123,6 +125,12 @@ fn around(spheres: &[Sphere]) -> Option<Sphere> {
     let reach = spheres.iter().map(|s| s.center.distance(center) + s.radius);
     let radius = reach.reduce(f64::max)?;
     Some(Sphere { center, radius })
+}
+
+/// The mean of colours; `None` if there are none.
+fn mean(colors: &[[f32; 3]]) -> Option<[f32; 3]> {
+    let sum = |c: usize| colors.iter().map(|color| color[c]).sum::<f32>();
+    (!colors.is_empty()).then(|| [0, 1, 2].map(|c| sum(c) / colors.len() as f32))
 }
 
 /// Returns the runs of the cells.

@@ -101,6 +101,7 @@ pub fn run(args: &RenderArgs, common: &Common) -> Result<Outcome> {
     };
     let frame = shots.frame;
     let mut loaded = scene::open(&ply, &frame, &args.device)?;
+    let background = background.unwrap_or(loaded.background);
     let jobs = shots.jobs(&loaded)?;
     let written = write_all(args, &mut loaded, background, &jobs, frame.scale)?;
     if let Some((file, pattern)) = video {

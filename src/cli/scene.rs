@@ -23,6 +23,8 @@ pub struct Loaded {
     pub renderer: Renderer,
     /// Direction away from the ground, if the file tells.
     pub up: Option<DVec3>,
+    /// Colour behind the scene, RGB in [0, 1]: black if the file does not tell.
+    pub background: [f32; 3],
 }
 
 /// Returns the scene file at `path` (a file or a run folder), and the run's record.
@@ -294,18 +296,19 @@ pub fn open(path: &Path, frame: &Frame, device: &DeviceOption) -> Result<Loaded>
         scene,
         renderer,
         up: file.up.and_then(|up| DVec3::from(up).try_normalize()),
+        background: file.background.unwrap_or_default(),
     })
 }
 
-/// Returns the background that a run used for evaluation, or the given one.
-pub fn background(asked: Option<&str>, record: Option<&RunRecord>) -> Result<[f32; 3]> {
-    let mut config = record.map(|r| r.config.clone()).unwrap_or_default();
-    if let Some(text) = asked {
-        let one = text.parse().ok().filter(|b: &Background| !b.changes(true));
-        config.background = one.ok_or_else(|| {
-            let what = format!("{text:?}; black, white or R,G,B in 0 to 1 expected");
-            Error::config("--background", what)
-        })?;
-    }
-    Ok(mhsplat::train::schedule::Schedule::new(&config).fixed_background())
+/// Returns the given background, or the one that a run used for evaluation; `None` if neither says one.
+pub fn background(asked: Option<&str>, record: Option<&RunRecord>) -> Result<Option<[f32; 3]>> {
+    let Some(text) = asked else {
+        return Ok(record.map(RunRecord::background));
+    };
+    let one = text.parse().ok().filter(|b: &Background| !b.changes(true));
+    let one = one.ok_or_else(|| {
+        let what = format!("{text:?}; black, white or R,G,B in 0 to 1 expected");
+        Error::config("--background", what)
+    })?;
+    Ok(Some(one.named()))
 }

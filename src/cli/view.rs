@@ -113,6 +113,7 @@ pub fn run(args: &ViewArgs, common: &Common) -> Result<Outcome> {
     let data = dataset(args, record.as_ref())?;
     let frame = data.as_ref().map_or(Frame::IDENTITY, |data| data.frame);
     let loaded = scene::open(&file, &frame, &args.device)?;
+    let background = background.unwrap_or(loaded.background);
     let (mut views, photos, reach) = match &data {
         Some(data) => {
             let (views, remark) = scene_views(data);

@@ -67,8 +67,9 @@ impl From<Init> for String {
 #[serde(try_from = "String", into = "String")]
 #[non_exhaustive]
 pub enum Background {
-    /// [`Background::Random`] if photos are transparent, else [`Background::Black`]. Over one colour a scene keeps fog of that
-    /// colour, which no training view shows and other views do. Black when evaluating.
+    /// [`Background::Random`] if photos are transparent: over one colour a scene keeps fog of that colour, which no training view shows and other
+    /// views do. The mean colour of photos that are neither transparent nor masked, which the sky is nearer to than to black. Else
+    /// [`Background::Black`].
     #[default]
     Auto,
     /// (0, 0, 0).
@@ -86,6 +87,16 @@ impl Background {
     #[must_use]
     pub fn changes(self, transparent: bool) -> bool {
         self == Self::Random || (self == Self::Auto && transparent)
+    }
+
+    /// The colour where no photo decides: the one that is named, or black.
+    #[must_use]
+    pub fn named(self) -> [f32; 3] {
+        match self {
+            Self::White => [1.0; 3],
+            Self::Color(color) => color,
+            Self::Auto | Self::Black | Self::Random => [0.0; 3],
+        }
     }
 }
 

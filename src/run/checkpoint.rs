@@ -74,6 +74,9 @@ struct Header {
     /// Absent in earlier versions, whose runs had none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     clearance: Option<Vec<f32>>,
+    /// Absent in earlier versions, whose runs had the one that the configuration names.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    background: Option<[f32; 3]>,
     /// [`TrainerState::swept`]; absent if none were looked for.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     swept: Option<usize>,
@@ -134,6 +137,7 @@ pub fn write(run_dir: &Path, checkpoint: &Checkpoint) -> Result<()> {
         deciding: state.deciding.clone(),
         detail: state.detail.clone(),
         clearance: Some(state.clearance.clone()),
+        background: Some(state.background),
         swept: state.swept,
         sh_degree: state.splats.sh_degree(),
         config: checkpoint.config.clone(),
@@ -342,6 +346,11 @@ fn parse(data: &[u8]) -> std::result::Result<Checkpoint, String> {
         .map(|step| pending(step, &tensors, splats.len()));
     let deciding = deciding.transpose()?;
     let [train_seconds, wall_seconds, cpu_seconds] = header.clock;
+    let named = header.config.background.named();
+    let background = header.background.unwrap_or(named);
+    if !background.iter().all(|v| (0.0..=1.0).contains(v)) {
+        return Err(format!("background {background:?}; 0 to 1 expected"));
+    }
     Ok(Checkpoint {
         state: TrainerState {
             iteration: header.iteration,
@@ -349,6 +358,7 @@ fn parse(data: &[u8]) -> std::result::Result<Checkpoint, String> {
             deciding,
             detail: header.detail,
             clearance: header.clearance.unwrap_or_default(),
+            background,
             swept: header.swept,
             splats,
             rows: GaussianRows {

@@ -19,6 +19,8 @@ pub(super) struct Exports {
     frame: Frame,
     up: Option<[f64; 3]>,
     cameras: Option<Sphere>,
+    /// [`Plan::behind`](crate::train::Plan::behind).
+    background: Option<[f32; 3]>,
     /// Cameras of the scene's page, held-out ones first, with their photos from the first export on.
     pub(super) views: Vec<SceneView>,
     /// Sentence about cameras that the page does not list.
@@ -29,8 +31,8 @@ pub(super) struct Exports {
 }
 
 impl Exports {
-    /// Exports into the frame of a dataset.
-    pub(super) fn new(dataset: &Dataset) -> Self {
+    /// Exports into the frame of a dataset, with a colour behind the scene.
+    pub(super) fn new(dataset: &Dataset, background: Option<[f32; 3]>) -> Self {
         let (views, listed) = viewer::scene_views(dataset);
         // Cameras in one place say nothing about the size of the local frame's unit.
         let apart = dataset.views().any(|v| v.camera.center().length() > 0.5);
@@ -42,6 +44,7 @@ impl Exports {
             frame: dataset.frame,
             up: dataset.up().map(|up| up.to_array()),
             cameras: apart.then_some(unit),
+            background,
             views,
             listed,
             pictured: None,
@@ -84,6 +87,7 @@ impl Exports {
         Ok(SceneFile {
             up: self.up,
             cameras: self.cameras,
+            background: self.background,
             ..SceneFile::trained(splats, filter)?
         })
     }

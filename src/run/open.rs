@@ -171,7 +171,6 @@ impl Run {
         }
         // Another tuning would add in another order: the run goes on as it began.
         let device = device.clone().with_tuning(saved.tuning);
-        let smoothed = !saved.state.rows.filter.is_empty();
         config.validate()?;
         let changed = extended.is_some() || config != saved.config;
         let (config, mut to_come) = go_on(config, done);
@@ -179,9 +178,10 @@ impl Run {
             to_come.clear();
         }
         let begun = Begun {
-            anti_aliasing: Some(smoothed),
+            anti_aliasing: Some(!saved.state.rows.filter.is_empty()),
             detail: Some(saved.state.detail.clone()),
             clearance: Some(saved.state.clearance.clone()),
+            background: Some(saved.state.background),
         };
         let dataset = dataset.as_begun(saved.state.swept);
         let plan = Plan::begun(&dataset, &config, &begun)?.on_device(&device);
@@ -226,7 +226,7 @@ impl Run {
             record.funnel = before.funnel;
             record.peak_rss_bytes = before.peak_rss_bytes;
         }
-        let mut exports = Exports::new(&dataset);
+        let mut exports = Exports::new(&dataset, plan.behind());
         let splats = match &saved {
             Some(saved) => Cow::Borrowed(&saved.state.splats),
             None => Cow::Owned(start::first(&dataset, &plan, &mut exports.remarks)?),

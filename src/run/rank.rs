@@ -31,6 +31,7 @@ struct Beginning {
     anti_aliasing: bool,
     detail: Vec<f32>,
     clearance: Vec<f32>,
+    background: [f32; 3],
     swept: Option<usize>,
     /// Highest SH degree of the first Gaussians.
     sh_degree: u32,
@@ -92,6 +93,7 @@ pub(super) fn beginning(
         anti_aliasing: plan.anti_aliasing.value,
         detail: plan.detail.value.clone(),
         clearance: plan.clearance.value.clone(),
+        background: plan.background.value,
         swept: plan.swept,
         sh_degree,
     });
@@ -147,6 +149,7 @@ pub fn serve(
         anti_aliasing: Some(said.anti_aliasing),
         detail: Some(said.detail),
         clearance: Some(said.clearance),
+        background: Some(said.background),
     };
     let dataset = dataset.as_begun(said.swept);
     let plan = Plan::begun(&dataset, &said.config, &begun)?;

@@ -5,13 +5,14 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 
 use crate::base::error::{Error, Result};
-use crate::config::{TrainConfig, from_json};
+use crate::config::{Background, TrainConfig, from_json};
 use crate::density::DensityStats;
 use crate::device::tuning::Tuning;
 use crate::evaluate::{Scores, ViewScore};
 use crate::pipeline::photos::PhotoStats;
 use crate::run::density_trace::FunnelRow;
 use crate::train::Plan;
+use crate::train::reasons::Part;
 
 /// Name of the record in the run folder.
 pub const RECORD_FILE: &str = "run.json";
@@ -215,6 +216,9 @@ pub struct RunRecord {
     /// First iteration from which photos have the largest size of the run; absent where all have it.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub full_size_from: u64,
+    /// Background colour of the scores, RGB in \[0, 1\]; absent in records of earlier versions, whose runs had the one that the configuration names.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub background: Option<[f32; 3]>,
     /// Number of Gaussians.
     pub gaussians: u64,
     /// Gaussians that were removed at the end, because no training view sees them; not among `gaussians`.
@@ -255,6 +259,12 @@ impl RunRecord {
     pub fn ended(&self) -> bool {
         let whole = self.iterations >= self.config.last_iterations();
         whole || self.out_of_time || self.stalled.is_some()
+    }
+
+    /// Background colour of the scores, RGB in \[0, 1\].
+    #[must_use]
+    pub fn background(&self) -> [f32; 3] {
+        self.background.unwrap_or(self.config.background.named())
     }
 
     /// The record of a run that has not begun.
@@ -344,6 +354,13 @@ impl RunRecord {
     fn without_later_options(mut self, text: &str) -> Self {
         if serde_json::from_str(text).is_ok_and(|value| is_earlier(&value)) {
             self.config.clearance = 0.0;
+        }
+        let opaque = || {
+            let transparency = Part::Transparency.to_string();
+            self.plan.left_out.iter().any(|i| i.what == transparency)
+        };
+        if self.background.is_none() && self.config.background == Background::Auto && opaque() {
+            self.config.background = Background::Black;
         }
         self
     }

@@ -182,7 +182,7 @@ pub(super) fn record(dataset: &Dataset, plan: &Plan, device: &Device) -> RunReco
         let sides = dataset.train.iter().map(|v| side(&v.camera));
         sides.max().unwrap_or(0)
     };
-    RunRecord::new(
+    let record = RunRecord::new(
         plan.config.clone(),
         DatasetRecord {
             path: absolute(&dataset.path),
@@ -208,7 +208,11 @@ pub(super) fn record(dataset: &Dataset, plan: &Plan, device: &Device) -> RunReco
             tuning: Some(device.tuning()),
         },
         PlanRecord::of(plan),
-    )
+    );
+    RunRecord {
+        background: Some(plan.background.value),
+        ..record
+    }
 }
 
 /// A path that stays right in whatever folder a program is started that reads the record.

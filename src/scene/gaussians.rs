@@ -140,6 +140,15 @@ impl Gaussians {
         self.rows(&kept)
     }
 
+    /// The Gaussians after the first `count`.
+    #[must_use]
+    pub fn after(mut self, count: usize) -> Self {
+        self.planes.iter_mut().for_each(|plane| {
+            plane.drain(..count.min(plane.len()));
+        });
+        self
+    }
+
     /// The Gaussians of these numbers.
     fn rows(mut self, kept: &[usize]) -> Self {
         self.planes.par_iter_mut().for_each(|plane| {

@@ -1,5 +1,6 @@
 //! The training loop. [`step`] has one iteration in order; [`plan`] has every decision.
 
+mod background;
 mod bound;
 pub mod brightness;
 mod clearance;

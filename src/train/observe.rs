@@ -12,6 +12,7 @@ use crate::pipeline::buffers::{GaussianBuffers, ViewSet};
 use crate::pipeline::forward::{Quantity, RenderOptions, Rendered, Renderer, Renders};
 use crate::pipeline::photos::PhotoStats;
 use crate::pipeline::room::restride;
+use crate::scene::formats::SceneFile;
 use crate::scene::sh::C0;
 use crate::scene::{Gaussians, Plane};
 use crate::train::noted::Noted;
@@ -163,6 +164,18 @@ impl Trainer {
     pub fn splats(&mut self) -> Result<(Gaussians, Vec<f32>)> {
         let (splats, rows) = self.held(false)?;
         Ok((splats, rows.filter))
+    }
+
+    /// The scene as a file is to hold it: with smoothing filters merged into the Gaussians, and the colour that is to be seen behind them.
+    ///
+    /// # Errors
+    /// The driver's, or non-finite parameters.
+    pub fn scene(&mut self) -> Result<SceneFile> {
+        let (splats, filter) = self.splats()?;
+        Ok(SceneFile {
+            background: self.plan.behind(),
+            ..SceneFile::trained(&splats, &filter)?
+        })
     }
 
     /// Renders the Gaussians as they are, over the background that does not change.

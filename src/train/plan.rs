@@ -16,6 +16,7 @@ use crate::config::{
 use crate::density::{self, DensityControl};
 use crate::device::{Device, DeviceKind};
 use crate::scene::{formats, morton};
+use crate::train::background::background;
 use crate::train::bound::most_gaussians;
 use crate::train::brightness::GainSpread;
 use crate::train::clearance::clearance;
@@ -78,6 +79,8 @@ pub struct Begun {
     pub detail: Option<Vec<f32>>,
     /// [`Plan::clearance`].
     pub clearance: Option<Vec<f32>>,
+    /// [`Plan::background`].
+    pub background: Option<[f32; 3]>,
 }
 
 /// Iterations that a GPU does while a density step is decided on the host, which takes it about as long (docs/results/gpu.md).
@@ -92,6 +95,8 @@ pub struct Plan {
     pub alpha: Alpha,
     /// Another background colour in each iteration.
     pub random_background: Decided<bool>,
+    /// Background colour of evaluations, and of training unless that has another one in each iteration; RGB in \[0, 1\].
+    pub background: Decided<[f32; 3]>,
     /// Mip-Splatting's 2D and 3D filters.
     pub anti_aliasing: Decided<bool>,
     /// Detail lost by the smaller sizes at the start of the run ([`sizes::detail`]); empty for full size throughout.
@@ -166,7 +171,18 @@ impl Plan {
     /// The schedules of the run.
     #[must_use]
     pub fn schedule(&self) -> Schedule {
-        Schedule::new(&self.config).with_density_lag(self.density_lag.value)
+        Schedule::new(&self.config)
+            .with_density_lag(self.density_lag.value)
+            .with_background(self.background.value)
+    }
+
+    /// The colour behind the scene that files are to show, too: the background of photos that are neither transparent nor masked, unless it is
+    /// black.
+    #[must_use]
+    pub fn behind(&self) -> Option<[f32; 3]> {
+        let color = self.background.value;
+        let shown = self.alpha == Alpha::None && !self.random_background.value;
+        (shown && color != [0.0; 3]).then_some(color)
     }
 
     /// Decides for a dataset and a configuration.
@@ -190,6 +206,7 @@ impl Plan {
         let mut plan = Self {
             alpha,
             random_background: random_background(config, alpha == Alpha::Transparency),
+            background: background(dataset, config, alpha, begun.background)?,
             anti_aliasing: match begun.anti_aliasing {
                 // By points that nobody has any more.
                 Some(value) if dataset.forgot_points() => Decided::new(value, Why::Checkpoint),
@@ -315,6 +332,10 @@ impl Plan {
             typed(
                 on(Part::RandomBackground, &self.random_background),
                 &self.random_background.why,
+            ),
+            typed(
+                (Part::Background, self.background.value != [0.0; 3]),
+                &self.background.why,
             ),
             fact(Part::Masks),
             fact(Part::Undistortion),

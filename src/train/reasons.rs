@@ -13,6 +13,8 @@ pub enum Part {
     Transparency,
     /// [`crate::train::Plan::random_background`].
     RandomBackground,
+    /// [`crate::train::Plan::background`].
+    Background,
     /// Masks.
     Masks,
     /// Undistortion.
@@ -74,6 +76,7 @@ impl fmt::Display for Part {
         f.write_str(match self {
             Self::Transparency => "photo alpha over the background",
             Self::RandomBackground => "random background in each iteration",
+            Self::Background => "background of another colour than black",
             Self::Masks => "masks",
             Self::Undistortion => "undistortion",
             Self::Prefetch => "photo prefetch",
@@ -133,6 +136,8 @@ pub enum Why {
     AskedFor,
     /// The user asked for something else.
     AnotherAskedFor,
+    /// The mean colour of the photos.
+    MeanColor([f32; 3]),
     /// One background colour was asked for.
     OneColor(Background),
     /// Photos have transparent pixels.
@@ -253,6 +258,14 @@ fn free(f: &mut fmt::Formatter<'_>, share: f64, radius: f64) -> fmt::Result {
     )
 }
 
+/// Spells the reason for the photos' mean colour, RGB in \[0, 1\].
+fn mean(f: &mut fmt::Formatter<'_>, [r, g, b]: [f32; 3]) -> fmt::Result {
+    write!(
+        f,
+        "the photos' mean colour, {r:.3}, {g:.3}, {b:.3}, shows where no Gaussian does"
+    )
+}
+
 impl fmt::Display for Why {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
@@ -260,6 +273,7 @@ impl fmt::Display for Why {
             Self::Off(option) => write!(f, "{option} is off"),
             Self::AskedFor => f.write_str("asked for"),
             Self::AnotherAskedFor => f.write_str("another initialisation asked for"),
+            Self::MeanColor(color) => mean(f, *color),
             Self::OneColor(color) => {
                 write!(f, "one colour asked for: {}", String::from(*color))
             }

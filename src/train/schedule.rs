@@ -40,6 +40,7 @@ const LAG_SHARE: u32 = 6;
 pub struct Schedule {
     config: TrainConfig,
     density_lag: u32,
+    background: [f32; 3],
 }
 
 impl Schedule {
@@ -49,6 +50,7 @@ impl Schedule {
         Self {
             config: config.clone(),
             density_lag: config.work.density_lag.unwrap_or(0),
+            background: config.background.named(),
         }
     }
 
@@ -56,6 +58,13 @@ impl Schedule {
     #[must_use]
     pub fn with_density_lag(mut self, density_lag: u32) -> Self {
         self.density_lag = density_lag;
+        self
+    }
+
+    /// The same with a fixed background that a plan has decided on.
+    #[must_use]
+    pub fn with_background(mut self, background: [f32; 3]) -> Self {
+        self.background = background;
         self
     }
 
@@ -497,10 +506,6 @@ impl Schedule {
     /// Background colour where it must not change: evaluation.
     #[must_use]
     pub fn fixed_background(&self) -> [f32; 3] {
-        match self.config.background {
-            Background::White => [1.0; 3],
-            Background::Color(c) => c,
-            Background::Auto | Background::Black | Background::Random => [0.0; 3],
-        }
+        self.background
     }
 }

@@ -17,14 +17,19 @@ const LENGTH: f64 = 0.15;
 /// Photos of which the detail is measured, evenly spread.
 const SAMPLE: usize = 8;
 
+/// Numbers of some of so many photos, evenly spread: those that stand for all.
+pub(super) fn sample(photos: usize) -> impl Iterator<Item = usize> {
+    let count = photos.min(SAMPLE);
+    (0..count).map(move |k| k * photos / count)
+}
+
 /// Mean |p − q| of the photos, in units of the full range, where q is the mean of 2 × 2, 4 × 4, … pixels: a value for each of `halvings`.
 /// Pixels count by their alpha. Never falls from one to the next.
 ///
 /// # Errors
 /// A photo that cannot be read.
 pub fn detail(photos: &[&PhotoSource], halvings: u32) -> Result<Vec<f32>> {
-    let (n, count) = (photos.len(), photos.len().min(SAMPLE));
-    let chosen: Vec<usize> = (0..count).map(|k| k * n / count).collect();
+    let chosen: Vec<usize> = sample(photos.len()).collect();
     let of_photo = |number: &usize| {
         let photo = photos[*number].load()?;
         Ok((1..=halvings).map(|h| lost(&photo, 1 << h)).collect())

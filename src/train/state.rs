@@ -21,6 +21,8 @@ pub struct TrainerState {
     pub detail: Vec<f32>,
     /// [`Plan::clearance`](crate::train::Plan::clearance).
     pub clearance: Vec<f32>,
+    /// [`Plan::background`](crate::train::Plan::background).
+    pub background: [f32; 3],
     /// [`Dataset::swept`](crate::capture::Dataset::swept).
     pub swept: Option<usize>,
     /// Parameters.
@@ -60,6 +62,7 @@ impl Trainer {
             },
             detail: self.plan.detail.value.clone(),
             clearance: self.plan.clearance.value.clone(),
+            background: self.plan.background.value,
             swept: self.plan.swept,
             splats,
             rows,

@@ -56,6 +56,56 @@ fn there_and_back_again() {
 }
 
 #[test]
+fn a_run_over_the_mean_color_shows_it_everywhere() {
+    let dir = tempfile::tempdir().unwrap();
+    let run = dir.path().join("run");
+    let args = ["--iterations", "60", "--max-size", "64", "--export", "glb"];
+    done(&[&["train", &room(), "-o", text(&run)][..], &args].concat());
+    let record = fs::read(run.join("run.json")).unwrap();
+    let record: Value = serde_json::from_slice(&record).unwrap();
+    let color = &record["background"];
+    assert!(color[0].as_f64().unwrap() > 0.1, "{color}");
+    assert_eq!(record["config"]["background"], "auto");
+    let scored = |scene: &Path, more: &[&str]| {
+        let args = ["--max-size", "64", "--json"];
+        let data = room();
+        let said = done(&[&["eval", text(scene), &data][..], &args, more].concat());
+        let json: Value = serde_json::from_str(&said).unwrap();
+        (json["psnr"].as_f64().unwrap(), json["gaussians"].clone())
+    };
+    let psnr = record["final"]["psnr"].as_f64().unwrap();
+    let count = &record["gaussians"];
+    let file = run.join("scene.ply");
+    for scene in [&run, &file] {
+        let (own, gaussians) = scored(scene, &[]);
+        assert!((own - psnr).abs() < 1e-4, "{own} {psnr}");
+        assert_eq!(gaussians, *count);
+    }
+    let (shown, all) = scored(&run.join("scene.glb"), &[]);
+    assert!((shown - psnr).abs() < 0.01, "{shown} {psnr}");
+    assert_eq!(all.as_u64(), count.as_u64().map(|n| n + 2048));
+    let (black, _) = scored(&run, &["--background", "black"]);
+    assert!(black < psnr - 0.1, "{black} {psnr}");
+    let said = done(&["info", text(&file), "--json"]);
+    let said: Value = serde_json::from_str(&said).unwrap();
+    assert_eq!(
+        (&said["background"], &said["gaussians"]),
+        (color, count),
+        "{said}"
+    );
+    assert!(done(&["info", text(&file)]).contains("background: "));
+    // Gaussians of a file that a run begins with are those alone.
+    let [whole, part] = ["whole.ply", "part.ply"].map(|name| dir.path().join(name));
+    done(&["convert", text(&file), text(&whole)]);
+    let [own, again] = [&file, &whole].map(|file| read(file));
+    assert!(again.splats == own.splats && own.background.is_some());
+    assert_eq!(again.background, own.background);
+    let crop = "--crop=-2,-2,-2,2,2,2";
+    done(&["convert", text(&file), text(&part), crop]);
+    assert_eq!(read(&part).background, None);
+}
+
+#[test]
 fn parts_are_kept() {
     let dir = tempfile::tempdir().unwrap();
     let file = scene(dir.path());
@@ -191,13 +241,15 @@ fn a_run_exports_what_is_asked_for() {
     let json = done(&["info", text(&run.join("scene.ply")), "--json"]);
     let json: Value = serde_json::from_str(&json).unwrap();
     assert_eq!(json["cameras"]["radius"], radius);
-    for (name, marked) in [
-        ("scene.spz", true),
-        ("scene.compressed.ply", true),
-        ("scene.splat", false),
+    // Their backgrounds are Gaussians.
+    let shell = 2048;
+    for (name, marked, more) in [
+        ("scene.spz", true, shell),
+        ("scene.compressed.ply", true, 0),
+        ("scene.splat", false, shell),
     ] {
         let other = read(&run.join(name));
-        assert_eq!(other.splats.len(), own.splats.len(), "{name}");
+        assert_eq!(other.splats.len(), own.splats.len() + more, "{name}");
         assert_eq!(other.anti_aliased, marked, "{name}");
     }
     // Rendered as the PLY is, and gone on from.

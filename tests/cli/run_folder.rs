@@ -328,7 +328,7 @@ fn evaluated_alike(run: &Path, record: &Value) {
         "--max-size",
         "32",
     ]);
-    assert!(psnr(&["--near", "1000"]) < 12.0);
+    assert!(psnr(&["--near", "1000", "--background", "black"]) < 12.0);
     let missed = mhsplat(&["eval", text(run), &room(), "--require-psnr", "99"]);
     assert_eq!(missed.status.code(), Some(1));
     let met = mhsplat(&["eval", text(run), &room(), "--require-psnr", "1"]);

@@ -10,7 +10,6 @@ use crate::lab::compare::curve::Curve;
 use crate::lab::table::folder_name;
 use crate::run::report::settings::flatten;
 use crate::run::{METRICS_FILE, MetricsRow, RECORD_FILE, RunRecord, read_rows};
-use crate::train::schedule::Schedule;
 
 /// Options that change no result, or only by chance.
 const BESIDE: [&str; 7] = [
@@ -307,7 +306,7 @@ fn difference(a: &Loaded, b: &Loaded) -> Option<String> {
 /// # Errors
 /// The first such run.
 pub fn check_comparable(runs: &[Loaded], allow: bool, warnings: &mut Vec<String>) -> Result<()> {
-    let background = |r: &Loaded| Schedule::new(&r.record.config).fixed_background();
+    let background = |r: &Loaded| r.record.background();
     let first = &runs[0];
     for run in &runs[1..] {
         let (path, against) = (&run.path, &first.path);
@@ -322,7 +321,7 @@ pub fn check_comparable(runs: &[Loaded], allow: bool, warnings: &mut Vec<String>
             warnings.push(format!("not comparable: {path} has {what} (of {against})"));
         } else if background(run) != background(first) {
             warnings.push(format!(
-                "{path}: scored over another background, which counts where photos are transparent (of {against})"
+                "{path}: scored over another background, which counts where photos are transparent or no Gaussian is (of {against})"
             ));
         }
     }

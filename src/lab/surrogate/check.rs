@@ -136,7 +136,7 @@ impl Subject<'_> {
         let setting = Setting {
             render: RenderOptions {
                 sh_degree: splats.sh_degree(),
-                background: schedule.fixed_background(),
+                background: self.saved.state.background,
                 quantity: Quantity::Color,
                 active_only: false,
             },

@@ -133,7 +133,8 @@ pub(super) fn read(path: &Path, content: &Content, frame: &Frame) -> Result<Scen
         up: marks.up,
         cameras: marks.cameras.map(|sphere| sphere.in_local(frame)),
         ..SceneFile::new(localized(path, degree, planes, frame)?)
-    })
+    }
+    .without_shell(marks.shell))
 }
 
 /// The SH degree, and the coefficients above the constant one, in the file's order.

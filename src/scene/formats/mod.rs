@@ -15,6 +15,7 @@ mod compressed_ply;
 mod glb;
 pub mod ply;
 mod scene_file;
+mod shell;
 mod sog;
 mod splat;
 mod spz;
@@ -166,15 +167,20 @@ pub fn write(
         cameras: scene.cameras.map(|sphere| sphere.in_dataset(frame)),
         ..scene.clone()
     };
+    let ordered = || SceneFile {
+        splats: scene.splats.clone().in_morton_order(morton::NO_UP),
+        ..scene.clone()
+    };
+    let scene = match format {
+        SceneFormat::CompressedPly => ordered().enclosed()?,
+        _ => scene.enclosed()?,
+    };
     let (bytes, remarks) = match format {
         SceneFormat::Spz => spz::encode(path, &scene, Packing::Gzip)?,
         SceneFormat::SpzV4 => spz::encode(path, &scene, Packing::Zstandard)?,
         SceneFormat::Splat => splat::encode(&scene),
         SceneFormat::Glb => glb::encode(path, &scene)?,
-        SceneFormat::Ply | SceneFormat::CompressedPly => {
-            let splats = scene.splats.in_morton_order(morton::NO_UP);
-            compressed_ply::encode(&SceneFile { splats, ..scene })
-        }
+        SceneFormat::Ply | SceneFormat::CompressedPly => compressed_ply::encode(&scene),
     };
     files::write_bytes(path, &bytes)?;
     Ok(remarks)

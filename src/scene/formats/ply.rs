@@ -13,6 +13,7 @@ use crate::base::error::{Error, Result};
 use crate::base::ply::{self as table, Content, Kind, Table};
 use crate::capture::{Frame, Points};
 use crate::scene::formats::scene_file::{Contents, SATURATED, SceneFile, Sphere};
+use crate::scene::formats::shell::Shell;
 use crate::scene::gaussians::{Gaussians, Plane, sh_coefficients};
 
 /// The kind of file that this module writes.
@@ -34,6 +35,8 @@ const RENDER_MODE: &str = "SplatRenderMode:";
 const UP: &str = "Vertical axis:";
 /// Mark of the sphere around the cameras that a scene was trained with: centre and radius.
 const CAMERAS: &str = "mhsplat cameras within:";
+/// Mark of the colour behind a scene, and of the Gaussians that show it.
+const BACKGROUND: &str = "mhsplat background:";
 
 /// Standard deviation of a Gaussian's 3D filter, world units, in the files of Mip-Splatting, which leave it unmerged.
 const FILTER: &str = "filter_3D";
@@ -68,6 +71,7 @@ pub fn write_filtered(
 /// # Errors
 /// [`Error::Numerics`] for a parameter that is not finite (nothing is written then), [`Error::Io`].
 pub fn write_scene(path: &Path, scene: &SceneFile, frame: &Frame) -> Result<()> {
+    let scene = &scene.enclosed()?;
     let splats = &scene.splats;
     let names = property_names(splats.sh_degree());
     let properties = names.iter().map(|name| ("float", name.as_str()));
@@ -90,6 +94,9 @@ pub(super) fn comments(scene: &SceneFile, cameras: Option<Sphere>) -> String {
         let [x, y, z] = center.to_array();
         lines += &format!("comment {CAMERAS} {x} {y} {z} {radius}\n");
     }
+    if let Some(color) = scene.background {
+        lines += &format!("comment {BACKGROUND} {}\n", Shell::text(color));
+    }
     if scene.anti_aliased {
         lines += &format!("comment {ANTI_ALIASED}\ncomment {RENDER_MODE} mip\n");
     }
@@ -108,6 +115,7 @@ pub(super) struct Marks {
     pub(super) up: Option<[f64; 3]>,
     /// In the dataset's frame.
     pub(super) cameras: Option<Sphere>,
+    pub(super) shell: Option<Shell>,
 }
 
 /// The marks among the comments of a header: our own counts before the others'.
@@ -157,6 +165,7 @@ pub(super) fn marks(path: &Path, comments: &[String]) -> Result<Marks> {
         anti_aliased: own.is_some() || mip || flag,
         up,
         cameras,
+        shell: value(BACKGROUND).and_then(Shell::parse),
     })
 }
 
@@ -302,7 +311,8 @@ fn from_table(path: &Path, table: &Table, frame: &Frame) -> Result<SceneFile> {
         saturated,
         remarks,
         ..SceneFile::new(splats)
-    })
+    }
+    .without_shell(marks.shell))
 }
 
 /// A sentence on the colour transforms of photos, [R|t] by name, that 3DGS leaves beside its scene, three folders up or nearer;

@@ -52,6 +52,9 @@ pub struct SceneFile {
     pub up: Option<[f64; 3]>,
     /// A sphere that holds the cameras of its capture, if the file or the capture tells. Gaussians may lie hundreds of radii away.
     pub cameras: Option<Sphere>,
+    /// Colour that the scene was trained over and that is to be seen behind it, RGB in \[0, 1\], if the file or the training tells. Written as a
+    /// shell of Gaussians about the others, which none of these are: other programs know of no background.
+    pub background: Option<[f32; 3]>,
     /// Number of opacities of exactly 0 or 1 (infinite logits), which are read as nearly that; where the format knows logits.
     pub saturated: usize,
     /// Things that a reader left out or changed beside those.
@@ -67,6 +70,7 @@ impl SceneFile {
             anti_aliased: false,
             up: None,
             cameras: None,
+            background: None,
             saturated: 0,
             remarks: Vec::new(),
         }
