@@ -6,7 +6,7 @@ use crate::cli::mhsplat;
 use crate::determinism::{drive, room, saved};
 use mhsplat::Plan;
 use mhsplat::capture::Dataset;
-use mhsplat::config::{Sampler, TrainConfig};
+use mhsplat::config::{Background, Sampler, TrainConfig};
 use mhsplat::density::Clearance;
 use mhsplat::density::clearance::radii;
 use mhsplat::device::Device;
@@ -25,7 +25,8 @@ fn config(sampler: Sampler, clearance: f64) -> TrainConfig {
         clearance,
         iterations: ITERATIONS,
         max_size: 64,
-        seed: 1,
+        // The counts below were found over it.
+        background: Background::Black,
         ..TrainConfig::default()
     }
 }
@@ -154,4 +155,24 @@ fn records_of_earlier_versions_had_none() {
     fs::write(&file, record.to_string()).unwrap();
     assert_eq!(RunRecord::read(&first).unwrap().config.clearance, 0.0);
     assert_eq!(train(&again, &["--config", &file]), 0.0);
+    // The background as well: those of opaque photos were over black, and so is who repeats or goes on with one.
+    let background = |run: &str| {
+        let record = RunRecord::read(run).unwrap();
+        (record.config.background, record.background())
+    };
+    assert_eq!(background(&again).0, Background::Auto);
+    assert!(background(&again).1[0] > 0.1);
+    assert!(
+        record
+            .as_object_mut()
+            .unwrap()
+            .remove("background")
+            .is_some()
+    );
+    fs::write(&file, record.to_string()).unwrap();
+    let black = (Background::Black, [0.0; 3]);
+    assert_eq!(background(&first), black);
+    let third = path("third");
+    train(&third, &["--config", &file]);
+    assert_eq!(background(&third), black);
 }

@@ -23,7 +23,7 @@ pub struct EvalArgs {
     dataset: Option<PathBuf>,
     #[command(flatten)]
     photos: scene::PhotoOptions,
-    /// black, white or R,G,B (the run's, else black).
+    /// black, white or R,G,B (the run's, else the scene file's, else black).
     #[arg(long)]
     background: Option<String>,
     /// Score the training views instead of the held-out ones.

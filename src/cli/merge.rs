@@ -28,6 +28,9 @@ pub struct MergeArgs {
     runs: Vec<PathBuf>,
 }
 
+/// Difference of the backgrounds of two cells that nobody sees, of the full range.
+const ALIKE: f32 = 0.02;
+
 /// Decisions of a training that all scenes to be joined must share.
 #[derive(PartialEq)]
 struct Convention {
@@ -87,6 +90,13 @@ pub fn run(args: &MergeArgs, common: &Common) -> Result<Outcome> {
     // Of some cells alone it would leave the others out.
     whole.cameras = around(&spheres).filter(|_| spheres.len() == runs.len());
     whole.background = mean(&backgrounds).filter(|_| backgrounds.len() == runs.len());
+    let apart = |a: &[f32; 3], b: &[f32; 3]| (0..3).any(|c| (a[c] - b[c]).abs() > ALIKE);
+    let differ = backgrounds.iter().any(|b| apart(b, &backgrounds[0]));
+    if differ || !(backgrounds.is_empty() || backgrounds.len() == runs.len()) {
+        output::note(
+            "the runs were trained over different backgrounds: the sky may differ between cells (--background R,G,B gives all the same)",
+        );
+    }
     if convention.exposure == Some(true) {
         output::note(
             "the runs compensated exposures, each by itself: brightness may differ between cells",

@@ -54,7 +54,7 @@ pub struct RenderArgs {
     /// Encode the images of an orbit or a path as a video, too, with the program ffmpeg; must not exist.
     #[arg(long, value_name = "FILE.mp4")]
     video: Option<PathBuf>,
-    /// black, white or R,G,B (the run's, else black).
+    /// black, white or R,G,B (the run's, else the scene file's, else black).
     #[arg(long)]
     background: Option<String>,
     #[command(flatten)]

@@ -17,7 +17,7 @@ use mhsplat::device::{Device, Helpers};
 use mhsplat::lab::tune::SizeClass;
 use mhsplat::ranks::launched;
 use mhsplat::run::live::{Door, Server};
-use mhsplat::run::record::is_earlier;
+use mhsplat::run::record::without_later_options;
 use mhsplat::run::{
     Clock, Extension, RECORD_FILE, Run, RunRecord, claim_folder, saved_config, saved_tuning,
 };
@@ -403,14 +403,11 @@ fn read_config(file: &Path) -> Result<(TrainConfig, bool)> {
     };
     if file.extension().is_some_and(|e| e == "json") {
         let value: serde_json::Value = from_json(&text).map_err(wrong)?;
-        let earlier = is_earlier(&value);
-        let inner = value.get("config").cloned().unwrap_or(value);
+        let inner = value.get("config").unwrap_or(&value).clone();
         check_tables(&inner).map_err(wrong)?;
         let long = LENGTHS.iter().any(|key| inner.get(key).is_some());
         let mut config: TrainConfig = deserialize(inner).map_err(wrong)?;
-        if earlier {
-            config.clearance = 0.0;
-        }
+        without_later_options(&value, &mut config);
         return Ok((config, long));
     }
     let parse = |text| toml::Deserializer::parse(text).map_err(|e| wrong(e.to_string()));

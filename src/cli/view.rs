@@ -51,7 +51,7 @@ pub struct ViewArgs {
     dataset: Option<PathBuf>,
     #[command(flatten)]
     photos: PhotoOptions,
-    /// black, white or R,G,B (the run's, else black).
+    /// black, white or R,G,B (the run's, else the scene file's, else black).
     #[arg(long)]
     background: Option<String>,
     #[command(flatten)]

@@ -103,7 +103,7 @@ pub struct TrainConfig {
     #[arg(long)]
     pub invert_masks: bool,
     /// black, white, R,G,B, random (another colour in each iteration, scored over black), or auto: random if photos are
-    /// transparent, else black.
+    /// transparent, the mean colour of photos without transparency and masks, else black.
     #[arg(long, default_value_t = Self::default().background)]
     pub background: Background,
     /// Filters for things seen from near and far, and for views of other sizes than those trained on.

@@ -352,26 +352,35 @@ impl RunRecord {
 impl RunRecord {
     /// The record with options off that its text does not name, because the run was made by an earlier version.
     fn without_later_options(mut self, text: &str) -> Self {
-        if serde_json::from_str(text).is_ok_and(|value| is_earlier(&value)) {
-            self.config.clearance = 0.0;
-        }
-        let opaque = || {
-            let transparency = Part::Transparency.to_string();
-            self.plan.left_out.iter().any(|i| i.what == transparency)
-        };
-        if self.background.is_none() && self.config.background == Background::Auto && opaque() {
-            self.config.background = Background::Black;
+        if let Ok(value) = serde_json::from_str(text) {
+            without_later_options(&value, &mut self.config);
         }
         self
     }
 }
 
-/// True if the record of a run names no `clearance`: runs of earlier versions had none.
-#[must_use]
-pub fn is_earlier(record: &serde_json::Value) -> bool {
-    let config = record.get("config").and_then(serde_json::Value::as_object);
-    let unnamed = config.is_some_and(|config| !config.contains_key("clearance"));
-    unnamed && record.get("version").is_some()
+/// Switches the options of a run off that its record does not name, because an earlier version made it: such runs kept no space about the cameras
+/// free, and those of opaque photos without masks were over black. What is no record of a run has none that are later.
+pub fn without_later_options(record: &serde_json::Value, config: &mut TrainConfig) {
+    let Some(named) = record.get("config").and_then(serde_json::Value::as_object) else {
+        return;
+    };
+    if record.get("version").is_none() {
+        return;
+    }
+    if !named.contains_key("clearance") {
+        config.clearance = 0.0;
+    }
+    let left_out = record["plan"]["left_out"].as_array();
+    let lacks = |part: Part| {
+        let is = |item: &serde_json::Value| item["what"] == part.to_string();
+        left_out.is_some_and(|items| items.iter().any(is))
+    };
+    let opaque = lacks(Part::Transparency) && lacks(Part::Masks);
+    let unnamed = record.get("background").is_none() && config.background == Background::Auto;
+    if unnamed && opaque {
+        config.background = Background::Black;
+    }
 }
 
 /// Settings that records of earlier versions name and this one does not know any more. They say how a run was made, and nothing of what

@@ -1,5 +1,7 @@
 //! Everything that can be asked of a trainer between iterations.
 
+use glam::{DVec3, Vec3};
+
 use crate::base::error::{Error, Result};
 use crate::base::math::logit;
 use crate::capture::Camera;
@@ -12,9 +14,9 @@ use crate::pipeline::buffers::{GaussianBuffers, ViewSet};
 use crate::pipeline::forward::{Quantity, RenderOptions, Rendered, Renderer, Renders};
 use crate::pipeline::photos::PhotoStats;
 use crate::pipeline::room::restride;
-use crate::scene::formats::SceneFile;
+use crate::scene::formats::{SceneFile, Sphere};
 use crate::scene::sh::C0;
-use crate::scene::{Gaussians, Plane};
+use crate::scene::{Gaussians, Plane, morton};
 use crate::train::noted::Noted;
 use crate::train::plan::{Learned, Plan};
 use crate::train::schedule::{Schedule, most_halvings};
@@ -172,7 +174,17 @@ impl Trainer {
     /// The driver's, or non-finite parameters.
     pub fn scene(&mut self) -> Result<SceneFile> {
         let (splats, filter) = self.splats()?;
+        let mut centers = self.views.set.cameras.iter().map(|camera| camera.center);
+        // Cameras in one place say nothing about the size of the local frame's unit.
+        let apart = centers.any(|center| Vec3::from(center).length() > 0.5);
+        let unit = Sphere {
+            center: DVec3::ZERO,
+            radius: 1.0,
+        };
+        let up = self.plan.up;
         Ok(SceneFile {
+            up: (up != morton::NO_UP).then(|| up.map(f64::from)),
+            cameras: apart.then_some(unit),
             background: self.plan.behind(),
             ..SceneFile::trained(&splats, &filter)?
         })

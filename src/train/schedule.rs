@@ -1,8 +1,8 @@
 //! Schedules of a run: pure functions of the configuration and the iteration. Learning rates decay here.
 
 use crate::base::rng::{Philox, Stream};
-use crate::config::{Background, ExposureChoice, Length, TrainConfig, TrainingSize};
 use crate::config::{DENSITY_STEPS, PAPER_ITERATIONS, Sampler};
+use crate::config::{ExposureChoice, Length, TrainConfig, TrainingSize};
 use crate::device::PhotoScale;
 use crate::pipeline::stage::adam::LearningRates;
 use crate::train::sizes::Sizes;
@@ -432,8 +432,7 @@ impl Schedule {
         let every = self.scaled(done, self.config.adc.reset_interval).max(1);
         let [from, _] = self.density_span(done);
         let first = done < from + self.density_interval(done);
-        done / every > self.opacity_resets(done)
-            || (first && self.config.background == Background::White)
+        done / every > self.opacity_resets(done) || (first && self.background == [1.0; 3])
     }
 
     /// True if Gaussians born in the last density step have had the time that they are given before they are judged.

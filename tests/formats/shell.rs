@@ -34,7 +34,7 @@ fn over_color(n: usize) -> SceneFile {
 fn cameras() -> Vec<Camera> {
     let camera = |i: u64| {
         let u = Philox::uniform(3, 1, i);
-        let turn = DMat3::from_rotation_y(6.28 * u[0]) * DMat3::from_rotation_x(3.0 * u[1] - 1.5);
+        let turn = DMat3::from_rotation_y(6.2 * u[0]) * DMat3::from_rotation_x(3.0 * u[1] - 1.5);
         let v = Philox::uniform(3, 2, i);
         let center = DVec3::new(v[0] - 0.5, v[1] - 0.5, v[2] - 0.5);
         Camera::new([70.0, 70.0, 48.0, 48.0], [96, 96], (turn, -(turn * center)))
@@ -142,6 +142,52 @@ fn a_file_of_ours_gives_the_background_back() {
     assert!(with.splats == without.splats);
 }
 
+/// SPZ has 24 bits for a coordinate and a largest scale.
+#[test]
+fn a_shell_costs_no_bits_of_spz() {
+    let remarks = |far: f32| {
+        let mut given = over_color(300);
+        let place = [far, 0.0, 0.0];
+        given.splats.scatter(Plane::POSITION, 0, place);
+        let alone = SceneFile {
+            background: None,
+            ..given.clone()
+        };
+        let [(with, lost), (without, same)] = [given, alone].map(|s| through(&s, SceneFormat::Spz));
+        let shell = with.splats.len() - without.splats.len();
+        assert!(with.splats.after(shell) == without.splats, "{far}");
+        let more = lost.len() - same.len();
+        (shell, more, lost.join("\n"))
+    };
+    // Below 2048 units twelve bits are left behind the point.
+    for far in [50.0, 1500.0, 1900.0, 3000.0] {
+        let (shell, more, _) = remarks(far);
+        assert_eq!((shell, more), (2048, 0), "{far}");
+    }
+    for far in [2040.0, 4000.0, 6000.0, 1e5] {
+        let (shell, more, said) = remarks(far);
+        assert_eq!((shell, more), (0, 1), "{far}: {said}");
+        assert!(said.contains("the background is left out"), "{said}");
+    }
+}
+
+#[test]
+fn a_comment_whose_shell_is_gone_takes_none_away() {
+    let dir = tempfile::tempdir().unwrap();
+    let file = dir.path().join("scene.ply");
+    for kept in [300, 3000] {
+        ply::write(&file, &scene(kept, 1).splats, &Frame::IDENTITY).unwrap();
+        let text = fs::read(&file).unwrap();
+        let header = b"format binary_little_endian 1.0\n";
+        let at = text.windows(header.len()).position(|w| w == header);
+        let at = at.unwrap() + header.len();
+        let comment = b"comment mhsplat background: 0.75 0.25 0.5, the first 2048 vertices\n";
+        fs::write(&file, [&text[..at], comment, &text[at..]].concat()).unwrap();
+        let back = formats::read(&file, &Frame::IDENTITY).unwrap();
+        assert_eq!((back.splats.len(), back.background), (kept, None));
+    }
+}
+
 #[test]
 fn a_comment_on_other_gaussians_takes_none_away() {
     let dir = tempfile::tempdir().unwrap();
@@ -160,10 +206,14 @@ fn a_comment_on_other_gaussians_takes_none_away() {
     };
     assert_eq!(changed("", ""), (300, true));
     for (from, to) in [
-        // As after a program took some away and kept the comment.
         ("first 2048", "first 2049"),
         ("first 2048", "first 4000000000"),
         ("first 2048", "first -1"),
+        // Too few to tell.
+        ("first 2048", "first 0"),
+        ("first 2048", "first 1"),
+        // Another colour than theirs.
+        ("0.75 0.25", "0.75 0.5"),
         ("0.75 0.25", "1.75 0.25"),
         ("0.75 0.25", "nan 0.25"),
         ("0.75 0.25", "0.25"),

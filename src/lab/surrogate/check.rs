@@ -131,12 +131,12 @@ impl Subject<'_> {
     ) -> Result<Assessment> {
         let (config, options, device) = (&self.saved.config, self.options, self.device);
         let (splats, done) = (&self.saved.state.splats, self.saved.state.iteration);
-        let schedule = Schedule::new(config);
+        let schedule = Schedule::new(config).with_background(self.saved.state.background);
         // The renders and the loss of training, over the background of evaluation.
         let setting = Setting {
             render: RenderOptions {
                 sh_degree: splats.sh_degree(),
-                background: self.saved.state.background,
+                background: schedule.fixed_background(),
                 quantity: Quantity::Color,
                 active_only: false,
             },

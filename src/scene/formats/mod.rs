@@ -162,26 +162,36 @@ pub fn write(
     if format == SceneFormat::Ply {
         return ply::write_scene(path, scene, frame).map(|()| Vec::new());
     }
+    let moved = scene_file::in_dataset(&scene.splats, frame)?;
     let scene = SceneFile {
-        splats: scene_file::in_dataset(&scene.splats, frame)?,
+        splats: match format {
+            SceneFormat::CompressedPly => moved.in_morton_order(morton::NO_UP),
+            _ => moved,
+        },
         cameras: scene.cameras.map(|sphere| sphere.in_dataset(frame)),
-        ..scene.clone()
+        remarks: scene.remarks.clone(),
+        ..*scene
     };
-    let ordered = || SceneFile {
-        splats: scene.splats.clone().in_morton_order(morton::NO_UP),
-        ..scene.clone()
+    let reach = match format {
+        SceneFormat::Spz | SceneFormat::SpzV4 => spz::reach(path, &scene.splats)?,
+        _ => f64::INFINITY,
     };
-    let scene = match format {
-        SceneFormat::CompressedPly => ordered().enclosed()?,
-        _ => scene.enclosed()?,
-    };
-    let (bytes, remarks) = match format {
+    let room = scene.background.is_none() || scene.enclosing(reach).is_some();
+    let scene = scene.enclosed(reach)?;
+    let (bytes, mut remarks) = match format {
         SceneFormat::Spz => spz::encode(path, &scene, Packing::Gzip)?,
         SceneFormat::SpzV4 => spz::encode(path, &scene, Packing::Zstandard)?,
         SceneFormat::Splat => splat::encode(&scene),
         SceneFormat::Glb => glb::encode(path, &scene)?,
         SceneFormat::Ply | SceneFormat::CompressedPly => compressed_ply::encode(&scene),
     };
+    if !room {
+        let name = path.file_name().unwrap_or(path.as_os_str());
+        remarks.push(format!(
+            "{}: the background is left out, because Gaussians lie too far away for a shell about them in this format",
+            name.display()
+        ));
+    }
     files::write_bytes(path, &bytes)?;
     Ok(remarks)
 }

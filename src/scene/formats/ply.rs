@@ -71,13 +71,13 @@ pub fn write_filtered(
 /// # Errors
 /// [`Error::Numerics`] for a parameter that is not finite (nothing is written then), [`Error::Io`].
 pub fn write_scene(path: &Path, scene: &SceneFile, frame: &Frame) -> Result<()> {
-    let scene = &scene.enclosed()?;
+    let scene = scene.enclosed(f64::INFINITY)?;
     let splats = &scene.splats;
     let names = property_names(splats.sh_degree());
     let properties = names.iter().map(|name| ("float", name.as_str()));
     let rows = to_rows(splats, frame, &names)?;
     let cameras = scene.cameras.map(|sphere| sphere.in_dataset(frame));
-    let comments = comments(scene, cameras);
+    let comments = comments(&scene, cameras);
     table::write(path, &comments, splats.len(), properties, |out| {
         rows.iter()
             .try_for_each(|v| out.write_all(&v.to_le_bytes()))

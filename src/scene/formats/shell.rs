@@ -1,5 +1,6 @@
 //! The background of a scene as Gaussians, for programs that know of no background.
 
+use std::borrow::Cow;
 use std::f64::consts::{PI, TAU};
 
 use glam::DVec3;
@@ -24,24 +25,37 @@ const OPACITY: f64 = 0.99;
 const BEYOND: f64 = 1.5;
 const ABOUT: f64 = 2.0;
 
-/// Largest radius that a shell is made with: positions have single precision.
+/// Least radius over the distance of the farthest Gaussian, where a format has no room for more.
+const LEAST: f64 = 1.05;
+
+/// Largest coordinate that a shell is made with: positions have single precision.
 const FARTHEST: f64 = 1e30;
 
+/// Fewest Gaussians that are taken for a shell, and the largest difference of their colour to the one that is named.
+const LEAST_COUNT: usize = 64;
+const NEAR_COLOR: f64 = 0.01;
+
 impl SceneFile {
-    /// The scene with its background as Gaussians of one colour on a sphere beyond all others, the first ones; as it is without a background.
+    /// The scene with its background as Gaussians of one colour on a sphere beyond all others, the first ones; as it is without a background, and
+    /// where no coordinate may be larger than `reach` and the others leave no room for it.
     ///
     /// # Errors
-    /// [`crate::base::error::Error::Numerics`] for positions that are not finite.
-    pub(super) fn enclosed(&self) -> Result<Self> {
-        let mut whole = self.clone();
-        if let Some(color) = self.background {
-            whole.splats = self.shell(color)?;
-            whole.splats.append(&self.splats)?;
-        }
-        Ok(whole)
+    /// None that a scene can cause.
+    pub(super) fn enclosed(&self, reach: f64) -> Result<Cow<'_, Self>> {
+        let about = self.background.zip(self.enclosing(reach));
+        let Some((color, (center, radius))) = about else {
+            return Ok(Cow::Borrowed(self));
+        };
+        let mut splats = shell(self.splats.sh_degree(), center, radius, color);
+        splats.append(&self.splats)?;
+        Ok(Cow::Owned(Self {
+            splats,
+            remarks: self.remarks.clone(),
+            ..*self
+        }))
     }
 
-    /// The scene of a file whose first `count` Gaussians are said to be a shell of a colour: without them, if they may be one.
+    /// The scene of a file whose first Gaussians are said to be a shell: without them, if they may be one.
     pub(super) fn without_shell(mut self, said: Option<Shell>) -> Self {
         if let Some(Shell { color, count }) = said.filter(|shell| shell.begins(&self.splats)) {
             self.splats = self.splats.after(count);
@@ -50,7 +64,8 @@ impl SceneFile {
         self
     }
 
-    fn shell(&self, color: [f32; 3]) -> Result<Gaussians> {
+    /// Centre and radius of a sphere beyond all Gaussians with coordinates of at most `reach`; `None` if there is none.
+    pub(super) fn enclosing(&self, reach: f64) -> Option<(DVec3, f64)> {
         let places = |i: usize| {
             let place: [f32; 3] = self.splats.gather(Plane::POSITION, i);
             DVec3::from_array(place.map(f64::from))
@@ -61,24 +76,26 @@ impl SceneFile {
             None => ((0..n).map(places).sum::<DVec3>() / n.max(1) as f64, 0.5),
         };
         let farthest = (0..n).map(|i| places(i).distance(center));
-        let radius = farthest.fold(0.0, f64::max) * BEYOND;
-        let radius = radius.max(ABOUT * about).min(FARTHEST);
-        let side = (2.0 * TAU / COUNT as f64).sqrt();
-        let scale = (OVERLAP * side * radius).ln() as f32;
-        let mut shell = Gaussians::zeros(self.splats.sh_degree(), COUNT);
-        shell.plane_mut(Plane::OPACITY).fill(logit(OPACITY) as f32);
-        for i in 0..COUNT {
-            let place = center + radius * direction(i);
-            shell.scatter(Plane::POSITION, i, place.as_vec3().to_array());
-            shell.scatter(Plane::LOG_SCALE, i, [scale; 3]);
-            shell.scatter(
-                Plane::SH,
-                i,
-                color.map(|c| ((f64::from(c) - 0.5) / C0) as f32),
-            );
-        }
-        Ok(shell)
+        let farthest = farthest.fold(about, f64::max);
+        let room = reach.min(FARTHEST) - center.abs().max_element();
+        let radius = (BEYOND * farthest).max(ABOUT * about).min(room);
+        (radius >= LEAST * farthest).then_some((center, radius))
     }
+}
+
+fn shell(sh_degree: u32, center: DVec3, radius: f64, color: [f32; 3]) -> Gaussians {
+    let side = (2.0 * TAU / COUNT as f64).sqrt();
+    let scale = (OVERLAP * side * radius).ln() as f32;
+    let color = color.map(|c| ((f64::from(c) - 0.5) / C0) as f32);
+    let mut shell = Gaussians::zeros(sh_degree, COUNT);
+    shell.plane_mut(Plane::OPACITY).fill(logit(OPACITY) as f32);
+    for i in 0..COUNT {
+        let place = center + radius * direction(i);
+        shell.scatter(Plane::POSITION, i, place.as_vec3().to_array());
+        shell.scatter(Plane::LOG_SCALE, i, [scale; 3]);
+        shell.scatter(Plane::SH, i, color);
+    }
+    shell
 }
 
 /// Unit vectors spread evenly over the sphere: a Fibonacci lattice.
@@ -114,11 +131,17 @@ impl Shell {
         format!("{r} {g} {b}, the first {COUNT} vertices")
     }
 
-    /// True if the first Gaussians have one colour, one opacity and one size, as those of a shell: a program may have kept the comment and
-    /// have taken Gaussians out.
+    /// True if the first Gaussians have this colour, one opacity and one size, as those of a shell: a program may have kept the comment and have taken
+    /// Gaussians out.
     fn begins(&self, splats: &Gaussians) -> bool {
-        let same = |plane: &Vec<f32>| plane[..self.count].windows(2).all(|v| v[0] == v[1]);
-        let alike = [Plane::OPACITY, Plane::LOG_SCALE, Plane::SH, Plane::SH + 1];
-        self.count <= splats.len() && alike.iter().all(|p| same(&splats.planes()[*p]))
+        if !(LEAST_COUNT..=splats.len()).contains(&self.count) {
+            return false;
+        }
+        let first = |plane: usize| &splats.planes()[plane][..self.count];
+        let same = |plane: usize| first(plane).windows(2).all(|v| v[0] == v[1]);
+        let color = |c: usize| 0.5 + C0 * f64::from(first(Plane::SH + c)[0]);
+        let said = |c: usize| (color(c) - f64::from(self.color[c])).abs() < NEAR_COLOR;
+        let colors = (0..3).all(|c| same(Plane::SH + c) && same(Plane::LOG_SCALE + c) && said(c));
+        colors && same(Plane::OPACITY)
     }
 }

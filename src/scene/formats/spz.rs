@@ -50,6 +50,9 @@ const MOST_FRACTION: u32 = 20;
 /// Largest value of a 24-bit position.
 const LARGEST: f64 = 8_388_607.0;
 
+/// Largest radius of a shell about a scene: its Gaussians then have scales within the format's range.
+const LARGEST_SHELL: f64 = 5000.0;
+
 /// Bytes of history that a Zstandard frame may ask for however little it holds.
 const SMALL_WINDOW: u64 = 8 << 20;
 
@@ -437,6 +440,16 @@ pub(super) fn encode(
     };
     let bytes = header.pack(path, &attributes)?;
     Ok((bytes, remarks.into_iter().flatten().collect()))
+}
+
+/// Largest coordinate that costs the positions of Gaussians in the file's frame no bit, and that of a shell whose Gaussians are within the range of
+/// the scales.
+///
+/// # Errors
+/// [`Error::Input`] for a position that 24 bits do not reach.
+pub(super) fn reach(path: &Path, splats: &Gaussians) -> Result<f64> {
+    let bits = fraction(path, splats)?;
+    Ok((LARGEST / f64::from(1_u32 << bits)).min(LARGEST_SHELL))
 }
 
 /// The most bits behind the binary point with which every position fits into 24.
