@@ -27,6 +27,9 @@ pub struct ConvertArgs {
     /// Keep the spherical harmonics of this degree and below, 0 to 3.
     #[arg(long, value_name = "D", value_parser = clap::value_parser!(u32).range(..=3))]
     sh_degree: Option<u32>,
+    /// Leave out the shell of Gaussians that shows the scene's background to other programs.
+    #[arg(long)]
+    no_background: bool,
 }
 
 /// Parses two opposite corners of a box: the least of each axis, then the largest.
@@ -71,7 +74,8 @@ pub fn run(args: &ConvertArgs, common: &Common) -> Result<Outcome> {
         return Err(Error::input(&input, what, fix));
     }
     // About a part alone nothing is to be seen.
-    let background = file.background.filter(|_| args.crop.is_none());
+    let whole = args.crop.is_none() && !args.no_background;
+    let background = file.background.filter(|_| whole);
     let file = SceneFile {
         splats,
         background,

@@ -6,8 +6,8 @@ use std::path::Path;
 use crate::base::error::{Error, Result};
 use crate::base::files::FolderLock;
 use crate::base::process::process_cpu_seconds;
-use crate::capture::{Alpha, Dataset};
-use crate::config::{Background, Length, TrainConfig, TrainingSize};
+use crate::capture::Dataset;
+use crate::config::{Length, TrainConfig, TrainingSize};
 use crate::device::{Defines, Device, Helpers};
 use crate::evaluate::Evaluator;
 use crate::pipeline::buffers::ViewSet;
@@ -47,18 +47,6 @@ pub enum Extension {
     Seconds(f64),
     /// So many iterations altogether, whatever its budget was.
     Iterations(u32),
-}
-
-/// The configuration that a run goes on with, with what its checkpoint knows better.
-fn as_saved(mut config: TrainConfig, saved: &Checkpoint, dataset: &Dataset) -> TrainConfig {
-    // What was read before the folder was locked may be older.
-    config.lengths.clone_from(&saved.config.lengths);
-    let black = saved.state.background == [0.0; 3] && config.background == Background::Auto;
-    if black && dataset.alpha() == Alpha::None {
-        // An earlier version's: who repeats the run by its record is to have the same.
-        config.background = Background::Black;
-    }
-    config
 }
 
 /// Iterations that a run goes on for at least where it has come to its end.
@@ -149,7 +137,9 @@ impl Run {
                 "give the dataset of that run, or start anew with -o",
             ));
         }
-        let mut config = as_saved(config, &saved, &dataset);
+        let mut config = config;
+        // What was read before the folder was locked may be older.
+        config.lengths.clone_from(&saved.config.lengths);
         let done = saved.state.iteration;
         let ended = done >= saved.config.last_iterations();
         let used = [saved.clock.wall_seconds, saved.clock.all_cpu_seconds];

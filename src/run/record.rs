@@ -360,7 +360,7 @@ impl RunRecord {
 }
 
 /// Switches the options of a run off that its record does not name, because an earlier version made it: such runs kept no space about the cameras
-/// free, and those of opaque photos without masks were over black. What is no record of a run has none that are later.
+/// free, and those of opaque photos without masks were over black, as a run is that began as one of these. What is no record of a run has none that are later.
 pub fn without_later_options(record: &serde_json::Value, config: &mut TrainConfig) {
     let Some(named) = record.get("config").and_then(serde_json::Value::as_object) else {
         return;
@@ -377,8 +377,9 @@ pub fn without_later_options(record: &serde_json::Value, config: &mut TrainConfi
         left_out.is_some_and(|items| items.iter().any(is))
     };
     let opaque = lacks(Part::Transparency) && lacks(Part::Masks);
-    let unnamed = record.get("background").is_none() && config.background == Background::Auto;
-    if unnamed && opaque {
+    let black = |color: &serde_json::Value| *color == serde_json::json!([0.0, 0.0, 0.0]);
+    let over_black = record.get("background").is_none_or(black);
+    if over_black && opaque && config.background == Background::Auto {
         config.background = Background::Black;
     }
 }

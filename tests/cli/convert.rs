@@ -103,6 +103,9 @@ fn a_run_over_the_mean_color_shows_it_everywhere() {
     let crop = "--crop=-2,-2,-2,2,2,2";
     done(&["convert", text(&file), text(&part), crop]);
     assert_eq!(read(&part).background, None);
+    let bare = dir.path().join("bare.glb");
+    done(&["convert", text(&file), text(&bare), "--no-background"]);
+    assert_eq!(Some(read(&bare).splats.len() as u64), count.as_u64());
 }
 
 #[test]

@@ -31,6 +31,7 @@ use crate::capture::Frame;
 use crate::config::SceneFormat;
 
 pub use crate::scene::formats::scene_file::{Contents, SceneFile, Sphere};
+use crate::scene::formats::shell::Reach;
 use crate::scene::formats::spz::Packing;
 use crate::scene::morton;
 
@@ -174,7 +175,7 @@ pub fn write(
     };
     let reach = match format {
         SceneFormat::Spz | SceneFormat::SpzV4 => spz::reach(path, &scene.splats)?,
-        _ => f64::INFINITY,
+        _ => Reach::SINGLE,
     };
     let room = scene.background.is_none() || scene.enclosing(reach).is_some();
     let scene = scene.enclosed(reach)?;
@@ -188,7 +189,7 @@ pub fn write(
     if !room {
         let name = path.file_name().unwrap_or(path.as_os_str());
         remarks.push(format!(
-            "{}: the background is left out, because Gaussians lie too far away for a shell about them in this format",
+            "{}: the background is left out, because this format has no room for a shell about the Gaussians",
             name.display()
         ));
     }

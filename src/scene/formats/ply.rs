@@ -13,7 +13,7 @@ use crate::base::error::{Error, Result};
 use crate::base::ply::{self as table, Content, Kind, Table};
 use crate::capture::{Frame, Points};
 use crate::scene::formats::scene_file::{Contents, SATURATED, SceneFile, Sphere};
-use crate::scene::formats::shell::Shell;
+use crate::scene::formats::shell::{Reach, Shell};
 use crate::scene::gaussians::{Gaussians, Plane, sh_coefficients};
 
 /// The kind of file that this module writes.
@@ -71,7 +71,7 @@ pub fn write_filtered(
 /// # Errors
 /// [`Error::Numerics`] for a parameter that is not finite (nothing is written then), [`Error::Io`].
 pub fn write_scene(path: &Path, scene: &SceneFile, frame: &Frame) -> Result<()> {
-    let scene = scene.enclosed(f64::INFINITY)?;
+    let scene = scene.enclosed(Reach::SINGLE)?;
     let splats = &scene.splats;
     let names = property_names(splats.sh_degree());
     let properties = names.iter().map(|name| ("float", name.as_str()));

@@ -35,13 +35,30 @@ const FARTHEST: f64 = 1e30;
 const LEAST_COUNT: usize = 64;
 const NEAR_COLOR: f64 = 0.01;
 
+/// Largest numbers that a format has for a shell.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Reach {
+    /// Of its coordinates, absolute.
+    pub coordinate: f64,
+    /// Of its radius, with which the scales of its Gaussians grow.
+    pub radius: f64,
+}
+
+impl Reach {
+    /// The reach of single precision.
+    pub const SINGLE: Self = Self {
+        coordinate: FARTHEST,
+        radius: FARTHEST,
+    };
+}
+
 impl SceneFile {
     /// The scene with its background as Gaussians of one colour on a sphere beyond all others, the first ones; as it is without a background, and
-    /// where no coordinate may be larger than `reach` and the others leave no room for it.
+    /// where the others leave no room for it within the largest `reach`.
     ///
     /// # Errors
     /// None that a scene can cause.
-    pub(super) fn enclosed(&self, reach: f64) -> Result<Cow<'_, Self>> {
+    pub(super) fn enclosed(&self, reach: Reach) -> Result<Cow<'_, Self>> {
         let about = self.background.zip(self.enclosing(reach));
         let Some((color, (center, radius))) = about else {
             return Ok(Cow::Borrowed(self));
@@ -64,8 +81,8 @@ impl SceneFile {
         self
     }
 
-    /// Centre and radius of a sphere beyond all Gaussians with coordinates of at most `reach`; `None` if there is none.
-    pub(super) fn enclosing(&self, reach: f64) -> Option<(DVec3, f64)> {
+    /// Centre and radius of a sphere beyond all Gaussians within the largest `reach`; `None` if there is none.
+    pub(super) fn enclosing(&self, reach: Reach) -> Option<(DVec3, f64)> {
         let places = |i: usize| {
             let place: [f32; 3] = self.splats.gather(Plane::POSITION, i);
             DVec3::from_array(place.map(f64::from))
@@ -77,8 +94,9 @@ impl SceneFile {
         };
         let farthest = (0..n).map(|i| places(i).distance(center));
         let farthest = farthest.fold(about, f64::max);
-        let room = reach.min(FARTHEST) - center.abs().max_element();
-        let radius = (BEYOND * farthest).max(ABOUT * about).min(room);
+        let room = reach.coordinate - center.abs().max_element();
+        let radius = (BEYOND * farthest).max(ABOUT * about);
+        let radius = radius.min(room).min(reach.radius);
         (radius >= LEAST * farthest).then_some((center, radius))
     }
 }

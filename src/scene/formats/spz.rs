@@ -19,6 +19,7 @@ use crate::scene::formats::scene_file::{
     HalfTurn, Rounding, SceneFile, from_smallest_three, limited_logit, localized, smallest_three,
     unit,
 };
+use crate::scene::formats::shell::Reach;
 use crate::scene::gaussians::{Gaussians, Plane, sh_coefficients};
 
 /// First bytes of what is compressed, and of files of version 4.
@@ -49,6 +50,9 @@ const SH_BUCKETS: [i32; 2] = [4, 8];
 const MOST_FRACTION: u32 = 20;
 /// Largest value of a 24-bit position.
 const LARGEST: f64 = 8_388_607.0;
+
+/// Bits behind the binary point below which a remark tells of rounded positions.
+const FINE: u32 = 12;
 
 /// Largest radius of a shell about a scene: its Gaussians then have scales within the format's range.
 const LARGEST_SHELL: f64 = 5000.0;
@@ -426,7 +430,7 @@ pub(super) fn encode(
         scales.remark("scales", "e^-10 to e^5.9 of the file's unit of length"),
         colors.remark("colours", "0.5 ± 0.94"),
         bands.remark("view-dependent coefficients", "-1 to 1"),
-        (fraction < 12).then(|| format!("positions are rounded to 1/{}", 1_u32 << fraction)),
+        (fraction < FINE).then(|| format!("positions are rounded to 1/{}", 1_u32 << fraction)),
     ];
     let header = Header {
         version: match packing {
@@ -442,14 +446,17 @@ pub(super) fn encode(
     Ok((bytes, remarks.into_iter().flatten().collect()))
 }
 
-/// Largest coordinate that costs the positions of Gaussians in the file's frame no bit, and that of a shell whose Gaussians are within the range of
-/// the scales.
+/// The largest shell whose Gaussians have scales within the format's range, and that costs the positions of Gaussians in the file's frame no bit of the
+/// first [`FINE`] behind the point.
 ///
 /// # Errors
 /// [`Error::Input`] for a position that 24 bits do not reach.
-pub(super) fn reach(path: &Path, splats: &Gaussians) -> Result<f64> {
-    let bits = fraction(path, splats)?;
-    Ok((LARGEST / f64::from(1_u32 << bits)).min(LARGEST_SHELL))
+pub(super) fn reach(path: &Path, splats: &Gaussians) -> Result<Reach> {
+    let bits = fraction(path, splats)?.min(FINE);
+    Ok(Reach {
+        coordinate: LARGEST / f64::from(1_u32 << bits),
+        radius: LARGEST_SHELL,
+    })
 }
 
 /// The most bits behind the binary point with which every position fits into 24.
