@@ -175,17 +175,19 @@ fn records_of_earlier_versions_had_none() {
     let third = path("third");
     train(&third, &["--config", &file]);
     assert_eq!(background(&third), black);
-    // Whoever restarts such a run asks for what is the default now, each time.
-    let restart = |background: &str| {
-        let all = ["train", ROOM, "-o", &third, "--resume-or-start"];
+    // Whoever restarts it has to ask for the same, and so has whoever restarts one of today.
+    let restart = |run: &str, background: &str| {
+        let all = ["train", ROOM, "-o", run, "--resume-or-start"];
         let same = ["--iterations", "2", "--max-size", "64", "--clearance", "0"];
         mhsplat(&[&all[..], &same, &["--background", background]].concat())
     };
     for _ in 0..2 {
-        let output = restart("auto");
+        let output = restart(&third, "black");
         assert!(output.status.success(), "{output:?}");
         assert_eq!(background(&third), black);
     }
-    let said = String::from_utf8(restart("white").stderr).unwrap();
-    assert!(said.contains("another `background`"), "{said}");
+    for (run, other) in [(&third, "auto"), (&third, "white"), (&again, "black")] {
+        let said = String::from_utf8(restart(run, other).stderr).unwrap();
+        assert!(said.contains("another `background`"), "{other}: {said}");
+    }
 }

@@ -3,10 +3,8 @@
 use clap::parser::ValueSource;
 use clap::{Arg, ArgMatches, Args, Command, FromArgMatches};
 
-use serde_json::Value;
-
 use mhsplat::base::error::{Error, Result};
-use mhsplat::config::{Background, MhConfig, RUN_CONTROL, Surrogate, TrainConfig};
+use mhsplat::config::{MhConfig, RUN_CONTROL, Surrogate, TrainConfig};
 
 /// The options of a configuration that have flags.
 #[derive(Args)]
@@ -44,15 +42,7 @@ impl Overrides {
         let [a, b] = [a, b].map(|config| serde_json::to_value(config).unwrap_or_default());
         let fixed = |key: &&String| !names.contains(&key.as_str()) && *key != "lengths";
         let keys = a.as_object()?.keys().filter(fixed);
-        // Runs of earlier versions are over black, whatever they were asked for; a run goes on over what it began with.
-        let black = [Background::Auto, Background::Black].map(String::from);
-        let alike =
-            |key: &str, value: &Value| key == "background" && black.iter().any(|b| value == b);
-        let same = |key: &String| {
-            let both = [&a, &b].map(|of| &of[key.as_str()]);
-            both[0] == both[1] || both.iter().all(|value| alike(key, value))
-        };
-        let mut other = keys.filter(|key| !same(key));
+        let mut other = keys.filter(|key| a.get(key) != b.get(key));
         other.next().cloned()
     }
 
