@@ -38,9 +38,9 @@ const NEAR_COLOR: f64 = 0.01;
 /// Largest numbers that a format has for a shell.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Reach {
-    /// Of its coordinates, absolute.
+    /// Largest absolute coordinate.
     pub coordinate: f64,
-    /// Of its radius, with which the scales of its Gaussians grow.
+    /// Largest radius; the scales of its Gaussians grow with it.
     pub radius: f64,
 }
 
